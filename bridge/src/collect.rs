@@ -10,6 +10,7 @@ use tokio::time::timeout;
 
 use crate::batch::{Batch, Batcher, SEQS_A_MILLISECOND, milliseconds};
 use crate::buffer::Buffer;
+use crate::fleet::boot_time;
 use crate::liveness::Liveness;
 use crate::registry::{Plcs, Registry};
 
@@ -32,6 +33,8 @@ pub struct Collector {
     liveness: Liveness,
     /// Samples of tags that a reload has added to the poller, and not to the registry yet.
     early: Vec<Sample>,
+    /// The time of the present round, by [`boot_time`].
+    now: u64,
 }
 
 /// The samples that are taken before the batches are ended, so that none waits for long.
@@ -57,6 +60,7 @@ impl Collector {
             buffer,
             liveness,
             early: Vec::new(),
+            now: 0,
         }
     }
 
@@ -80,6 +84,7 @@ impl Collector {
             let registry = self.registry.clone();
             // Locked until all batches are ended: their places stay as they are.
             let plcs = registry.read();
+            self.now = boot_time();
             self.take_early(&plcs);
             for sample in samples.drain(..) {
                 match sample {
@@ -117,6 +122,10 @@ impl Collector {
     /// Adds a sample to the batch of its PLC. Returns it if its tag has no place.
     fn take(&mut self, sample: Sample, plcs: &Plcs) -> Option<Sample> {
         let Some(place) = plcs.place(sample.id) else { return Some(sample) };
+        if !place.gate.is_open_at(self.now) {
+            // The next owner may have delivered newer values: a reply can wait in a socket while a process is stopped.
+            return None;
+        }
         let number = self.batcher_of(&place.plc);
         let Some(batcher) = self.batchers.get_mut(number) else { return Some(sample) };
         if !batcher.is_open() {

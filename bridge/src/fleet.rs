@@ -49,7 +49,7 @@ pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
 pub use self::operator::{Observation, OrderError, drain, move_link, observe};
 pub use self::spec::{PlantLinks, config_hash, link_of, links, member};
-pub(crate) use self::spec::{hosts, is_serial};
+pub(crate) use self::spec::{hosts, is_serial, link_id};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};
 
 /// The fencing token of an ownership. Tokens of one link rise with each owner.

@@ -18,6 +18,7 @@ use fatek::{Pool, Station};
 pub use self::change::Changes;
 use self::change::Staged;
 use crate::batch::Batch;
+use crate::fleet::Gate;
 
 /// A PLC that is polled.
 #[derive(Clone, Debug)]
@@ -34,6 +35,8 @@ pub struct PolledPlc {
     pub classes: Vec<ScanClass>,
     /// In a fleet: the fencing token of the ownership; 0 without a fleet, and for a link that no other member has.
     pub revision: u64,
+    /// In a fleet: the gate of the ownership.
+    pub gate: Gate,
     /// When this bridge began to poll it with this link, in milliseconds since 1970.
     pub since: u64,
 }
@@ -52,22 +55,31 @@ pub enum Elsewhere {
 pub enum Share<'a> {
     /// All.
     All,
-    /// In a fleet: those with a fencing token here.
-    Owned(&'a HashMap<Arc<str>, u64>),
+    /// In a fleet: those with an ownership here.
+    Owned(&'a HashMap<Arc<str>, PlcOwnership>),
+}
+
+/// The ownership of a PLC by a member of a fleet.
+#[derive(Clone, Debug)]
+pub struct PlcOwnership {
+    /// The fencing token; 0 for a link that no other member has.
+    pub revision: u64,
+    /// Open while requests may be sent to the PLC.
+    pub gate: Gate,
 }
 
 impl Share<'_> {
-    /// The fencing token of a PLC, 0 without a fleet; `None`: another member polls it.
-    fn revision(&self, plc: &str) -> Option<u64> {
+    /// The ownership of a PLC; `None`: another member polls it.
+    fn of(&self, plc: &str) -> Option<PlcOwnership> {
         match self {
-            Self::All => Some(0),
-            Self::Owned(revisions) => revisions.get(plc).copied(),
+            Self::All => Some(PlcOwnership { revision: 0, gate: Gate::always_open() }),
+            Self::Owned(plcs) => plcs.get(plc).cloned(),
         }
     }
 }
 
 /// PLC and name of a tag in the poller.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Place {
     /// The name of the PLC.
     pub plc: Arc<str>,
@@ -77,7 +89,17 @@ pub struct Place {
     pub index: usize,
     /// In a fleet: the fencing token of the ownership; 0 without a fleet.
     pub revision: u64,
+    /// In a fleet: the gate of the ownership. Samples that come behind it may be older than those of the next owner.
+    pub gate: Gate,
 }
+
+impl PartialEq for Place {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.plc, &self.tag, self.index, self.revision) == (&other.plc, &other.tag, other.index, other.revision)
+    }
+}
+
+impl Eq for Place {}
 
 /// All PLCs that are polled. Cheap to clone.
 #[derive(Clone, Debug, Default)]
@@ -87,6 +109,8 @@ pub struct Registry {
     apply: Arc<Mutex<()>>,
     /// `true` while tags may be in the poller and not here.
     is_applying: Arc<AtomicBool>,
+    /// `true` once the bridge gives its PLCs away: no configuration is applied any more.
+    is_frozen: Arc<AtomicBool>,
 }
 
 /// The PLCs by name, and the places of their tags.
@@ -108,6 +132,13 @@ pub struct AddError {
     plc: String,
     #[source]
     error: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl AddError {
+    /// No PLC can be added, since the bridge is stopping.
+    fn stopping() -> Self {
+        Self { plc: "any".to_owned(), error: "the bridge is stopping".into() }
+    }
 }
 
 /// The scan class of tags without one: each second.
@@ -164,6 +195,9 @@ impl Registry {
         poller: &PollerHandle,
     ) -> Result<Changes, AddError> {
         let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.is_frozen.load(Ordering::Acquire) {
+            return Err(AddError::stopping());
+        }
         let _applying = Applying::new(&self.is_applying);
         let staged = self.stage(plant, plant.plcs(), share, pool, poller)?;
         let mut plcs = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
@@ -176,6 +210,12 @@ impl Registry {
         Ok(changes)
     }
 
+    /// Refuses all further configurations and shares. Waits for one that is being applied: that blocks.
+    pub fn freeze(&self) {
+        let _apply = self.apply.lock().unwrap_or_else(PoisonError::into_inner);
+        self.is_frozen.store(true, Ordering::Release);
+    }
+
     /// Polls PLCs of a plant that this member of a fleet has got, besides those that it polls.
     ///
     /// # Errors
@@ -183,7 +223,7 @@ impl Registry {
     pub fn take(
         &self,
         plant: &Plant,
-        owned: &HashMap<Arc<str>, u64>,
+        owned: &HashMap<Arc<str>, PlcOwnership>,
         pool: &Pool,
         poller: &PollerHandle,
     ) -> Result<(), AddError> {
@@ -226,9 +266,9 @@ impl Registry {
     ) -> Result<Staged, AddError> {
         let mut staged = Staged::default();
         for plc in plcs {
-            let Some(revision) = share.revision(plc.name()) else { continue };
+            let Some(ownership) = share.of(plc.name()) else { continue };
             let old = self.read().get(plc.name()).cloned();
-            if let Err(error) = staged.add(plant, plc, revision, old.as_ref(), pool, poller) {
+            if let Err(error) = staged.add(plant, plc, ownership, old.as_ref(), pool, poller) {
                 staged.undo();
                 return Err(AddError { plc: plc.name().to_owned(), error });
             }

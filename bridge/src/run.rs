@@ -156,7 +156,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let service = Service::new();
     let poller = Poller::new();
     let buffer = open_buffer(&config).await?;
-    let owned = OwnedLinks::default();
+    let owned = OwnedLinks::new(config.bridge.id.clone());
     let is_member = config.fleet.is_some();
     let (registry, pool) = (Registry::default(), if is_member { owned.pool() } else { Pool::new() });
     let listener = http::bind(config.bridge.http)?;
@@ -165,7 +165,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let share = if is_member { Share::Owned(&none) } else { Share::All };
     let changes = registry.apply_share(&config.plant, share, &pool, &poller.handle())?;
     let joined = if is_member {
-        fleet::check(&config.plant)?;
+        fleet::check(&config.plant, &config.bridge.id)?;
         fleet::join(&config, owned)?
     } else {
         None
@@ -237,16 +237,22 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         }
     };
     service.stopping();
-    if let Some((membership, task)) = membership.zip(fleet_task) {
-        fleet::leave(&bridge, &membership, task, &mut signals).await;
+    let has_share_failed = matches!(ended, Err(RunError::Add(_) | RunError::Panicked(fleet::SHARE)));
+    if has_share_failed {
+        // Nothing closes the links that the fleet takes back.
+        fleet::close_all(&bridge).await;
     }
+    let hurries = match membership.zip(fleet_task) {
+        Some((membership, task)) => fleet::leave(&bridge, &membership, task, &mut signals).await,
+        None => false,
+    };
     drop(share);
     present.abort();
     // Links that close are no news.
     availability.abort();
     // A collector that has ended must not be waited for again.
     let collector = ended.is_ok().then_some(collector);
-    let hurries = drain::drain(&bridge, outputs, collector, &mut signals).await;
+    let hurries = drain::drain(&bridge, outputs, collector, &mut signals, hurries).await;
     // The metrics show the drain.
     stop_http.cancel();
     if !hurries && !matches!(ended, Err(RunError::Panicked("page"))) {

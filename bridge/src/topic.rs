@@ -60,8 +60,15 @@ impl Topics {
         let Self { base, separator, member } = self;
         match member {
             None => format!("{base}{separator}state"),
-            Some(member) => format!("{base}{separator}members{separator}{member}{separator}state"),
+            Some(member) => self.member_state(member.as_str()),
         }
+    }
+
+    /// The state of a member of the fleet.
+    #[must_use]
+    pub fn member_state(&self, member: &str) -> String {
+        let Self { base, separator, member: _ } = self;
+        format!("{base}{separator}members{separator}{member}{separator}state")
     }
 
     /// The state of a PLC.

@@ -277,7 +277,7 @@ async fn an_operator_drains_members_and_moves_links() {
         owned.keys().find(|(_, owned)| **owned == *link).map(|(member, _)| member.to_string())
     };
     for member in ["hall-1", "hall-2"] {
-        fleet::move_link(&nats, &admin, &bucket, &plc7, Some(&name(member))).await.unwrap();
+        fleet::move_link(&nats, &admin, &bucket, plc7.as_str(), Some(&name(member))).await.unwrap();
         until("the link is moved", &board, || owner("plc7").as_deref() == Some(member)).await;
     }
     let seen = fleet::observe(&nats, &admin, &bucket, "c", links(20)).await.unwrap();

@@ -240,7 +240,7 @@ async fn a_command_is_executed_by_the_owner_alone() {
     let owners = owners(&fleet.shared_by(&["hall-1", "hall-2"]));
     bridges.iter().for_each(|bridge| bridge.wait_for_log("nats: connected"));
     // A command from before the ownership is not executed: see below.
-    tokio::time::sleep(Duration::from_millis(1100)).await;
+    tokio::time::sleep(Duration::from_millis(2100)).await;
     let client = fleet.nats.client().await;
     let inbox = client.new_inbox();
     let mut replies = client.subscribe(inbox.clone()).await.unwrap();
@@ -340,4 +340,29 @@ async fn states_at_the_broker_are_those_of_the_owner() {
     // The last one leaves.
     bridges[0].signal("TERM");
     until(&mut all, "all are offline", &BTreeSet::new(), 2 * PLCS).await;
+}
+
+/// While links had the names of their PLCs, hall-1 took the renamed one at once, and the PLC had two masters.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_plc_with_another_name_has_the_same_master() {
+    let Some(fleet) = Fleet::new().await else { return };
+    let bridges = BTreeMap::from([("hall-1", fleet.start("hall-1")), ("hall-2", fleet.start("hall-2"))]);
+    let owners = owners(&fleet.shared_by(&["hall-1", "hall-2"]));
+    let (plc, owner) = owners.first_key_value().unwrap();
+    let other = if *owner == "hall-1" { "hall-2" } else { "hall-1" };
+    let reload = |id: &str| {
+        let renamed = fleet.config().replace(&format!("[plc.{plc}]"), "[plc.kettle]");
+        write_config(&fleet.folder.path().join(id), &renamed);
+        bridges[id].signal("HUP");
+        bridges[id].wait_for_log("reloaded;");
+    };
+    reload(other);
+    fleet.forget();
+    std::thread::sleep(LEASE * 2);
+    let lines: Vec<Line> = fleet.lines.1.try_iter().collect();
+    assert!(lines.iter().all(|line| line.plc() != "kettle"), "{other} polls it");
+    assert!(lines.iter().any(|line| line.plc() == plc && line.bridge == *owner));
+    reload(owner);
+    let lines = fleet.until("the owner polls it with its new name", |last| last.contains_key("kettle"));
+    assert!(lines.iter().all(|line| line.plc() != "kettle" || line.bridge == *owner));
 }

@@ -7,7 +7,7 @@ use futures::StreamExt;
 use super::*;
 
 fn place(tag: &str, index: usize) -> Place {
-    Place { plc: "mixer".into(), tag: tag.into(), index, revision: 0 }
+    Place { plc: "mixer".into(), tag: tag.into(), index, revision: 0, gate: crate::fleet::Gate::always_open() }
 }
 
 fn json(batch: &Batch) -> serde_json::Value {

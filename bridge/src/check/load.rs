@@ -125,7 +125,8 @@ pub(super) fn links(config: &Config, plans: &[ClassPlan], findings: &mut Vec<Fin
     let mut of_plc: HashMap<&str, usize> = HashMap::new();
     for plc in config.plant.plcs() {
         let link = plc.endpoint().to_string();
-        let id = of_fleet.as_ref().and_then(|links| links.link_of(plc.name())).map(|id| id.to_string());
+        let id_of = |links: &PlantLinks| Some(links.name_of(links.link_of(plc.name())?).to_owned());
+        let id = of_fleet.as_ref().and_then(id_of);
         let known = links.iter().position(|known| known.link == link && known.id == id);
         let number = known.unwrap_or(links.len());
         of_plc.insert(plc.name(), number);

@@ -7,7 +7,7 @@ use std::io;
 use std::process::ExitCode;
 
 use fatek_bridge::config::{Config, FleetSection, Name, NatsSection};
-use fatek_bridge::fleet::{self, Initialized, LinkSpec, Observation, Reach};
+use fatek_bridge::fleet::{self, Initialized, LinkSpec, Observation, PlantLinks, Reach};
 use tokio::runtime::Runtime;
 
 use self::args::{DrainArgs, FleetCommand, MoveArgs, PlantArgs, StatusArgs};
@@ -113,10 +113,11 @@ async fn drain(args: &DrainArgs) -> Result<String, Refusal> {
 async fn move_link(args: &MoveArgs) -> Result<String, Refusal> {
     let plant = Plant::load(&args.plant)?;
     let link = &args.link;
-    let links = plant.links();
-    let Some(spec) = links.iter().find(|spec| *spec.id == *link.as_str()) else {
-        let ids: Vec<&str> = links.iter().map(|link| &*link.id).collect();
-        return Err((no_link(link, &ids), STATUS_USAGE));
+    let links = PlantLinks::of(&plant.config.plant);
+    let Some(spec) = links.find(link.as_str()) else {
+        let mut names: Vec<&str> = links.specs().iter().map(|link| links.name_of(&link.id)).collect();
+        names.sort_unstable();
+        return Err((no_link(link, &names), STATUS_USAGE));
     };
     let is_allowed = |member: &Name| match &spec.reach {
         Reach::All => Ok(()),
@@ -128,7 +129,7 @@ async fn move_link(args: &MoveArgs) -> Result<String, Refusal> {
         is_allowed(member).map_err(|error| (error, STATUS_USAGE))?;
     }
     let seen = plant.observe().await?;
-    let done = fleet::move_link(&plant.nats, plant.id(), &plant.fleet.bucket, link, args.member.as_ref()).await;
+    let done = fleet::move_link(&plant.nats, plant.id(), &plant.fleet.bucket, &spec.id, args.member.as_ref()).await;
     done.map_err(|error| plant.failure(error))?;
     Ok(match &args.member {
         None => format!("{link} goes where the others would have it."),
@@ -137,8 +138,8 @@ async fn move_link(args: &MoveArgs) -> Result<String, Refusal> {
     })
 }
 
-fn no_link(link: &Name, ids: &[&str]) -> String {
-    let known = if ids.len() > 20 { String::new() } else { format!(" (known: {})", ids.join(" ")) };
+fn no_link(link: &Name, names: &[&str]) -> String {
+    let known = if names.len() > 20 { String::new() } else { format!(" (known: {})", names.join(" ")) };
     format!("there is no link {link}{known}: a link has the name of its bus, or of its PLC; check shows them")
 }
 

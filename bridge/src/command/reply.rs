@@ -122,7 +122,7 @@ pub(super) enum Refusal {
     PulseOpen,
     #[error("pulse: members of a fleet take none: one that fails would leave the output on")]
     PulseInFleet,
-    #[error("fleet: it was sent before this member had the PLC, or within 1 s after that")]
+    #[error("fleet: it was sent before this member had the PLC, or within 2 s after that")]
     FormerOwner,
     #[error("changed: the configuration of the tag has changed")]
     Changed,

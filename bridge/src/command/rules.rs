@@ -19,9 +19,11 @@ use crate::registry::Plcs;
 pub(super) const MAX_AGE: Duration = Duration::from_secs(10);
 /// The largest time that its `ts` is ahead of the clock of the bridge.
 pub(super) const MAX_AHEAD: Duration = Duration::from_secs(5);
-/// The same in a fleet. A command may reach two owners: the later one knows it by a `ts` before its ownership, as far
-/// as clocks agree.
+/// The same in a fleet.
 const MAX_AHEAD_IN_FLEET: Duration = Duration::from_secs(1);
+/// The time after the begin of an ownership in which the `ts` of a command may be one that the owner before has
+/// executed: it can be ahead of the clock of that member, and that ahead of this one's.
+const DOUBTFUL: Duration = Duration::from_secs(2);
 
 /// The PLCs of the configuration that applies now.
 pub(super) trait Catalog {
@@ -152,7 +154,7 @@ impl Plan {
             return Err(Refusal::Future { ahead: ahead.div_ceil(1000), max: max_ahead.as_secs() });
         }
         match owned_since {
-            Some(since) if self.ts <= since.saturating_add(millis(max_ahead)) => Err(Refusal::FormerOwner),
+            Some(since) if self.ts <= since.saturating_add(millis(DOUBTFUL)) => Err(Refusal::FormerOwner),
             Some(_) | None => Ok(()),
         }
     }
@@ -332,17 +334,17 @@ tag.level = "R70:i16"
             let request = Request { id: "1".into(), tag: tag.to_owned(), value: true.into(), ts };
             check(&request, "mixer", &Gate::new(true), &owned, now)
         };
-        // An owner before has ended by 500,000. It takes a `ts` that is 1 s ahead.
-        let plan = result("valve", 501_001, 501_500).unwrap();
-        assert_eq!(result("valve", 501_000, 501_500).err(), Some(Refusal::FormerOwner));
+        // An owner before has ended by 500,000. It takes a `ts` that is 1 s ahead, and its clock may be so, too.
+        let plan = result("valve", 502_001, 502_500).unwrap();
+        assert_eq!(result("valve", 502_000, 502_500).err(), Some(Refusal::FormerOwner));
         assert_eq!(result("valve", 499_999, 500_100).err(), Some(Refusal::FormerOwner));
-        let future = result("valve", 502_501, 501_500).unwrap_err();
+        let future = result("valve", 503_501, 502_500).unwrap_err();
         assert_eq!(future.to_string(), "future: its ts is 2 s ahead of the clock of the bridge, and 1 s are allowed");
         // While it waited, the PLC had another owner.
         let again = Owned(owned.0.clone(), 501_400);
-        assert_eq!(plan.check_again(&again, 501_500), Err(Refusal::FormerOwner));
-        assert_eq!(plan.check_again(&owned, 501_500), Ok(()));
-        assert_eq!(result("start", 501_400, 501_500).err(), Some(Refusal::PulseInFleet));
+        assert_eq!(plan.check_again(&again, 502_500), Err(Refusal::FormerOwner));
+        assert_eq!(plan.check_again(&owned, 502_500), Ok(()));
+        assert_eq!(result("start", 502_400, 502_500).err(), Some(Refusal::PulseInFleet));
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(super) fn check(plant: &Plant, source: &Source<'_>, faults: &mut Vec<ConfigF
         }
     }
     addresses(&first_of_each, source, faults);
-    ids(plant, source, faults);
+    names(plant, source, faults);
 }
 
 /// Adds the faults of a plant without a fleet: this bridge has all serial ports, so a name is that of one port.
@@ -83,12 +83,12 @@ fn addresses(plcs: &[&PlantPlc], source: &Source<'_>, faults: &mut Vec<ConfigFau
     }
 }
 
-/// Two links of one id would be one: a bus can have the name of a PLC.
-fn ids(plant: &Plant, source: &Source<'_>, faults: &mut Vec<ConfigFault>) {
+/// A bus can have the name of a PLC: then an operator would move the wrong link.
+fn names(plant: &Plant, source: &Source<'_>, faults: &mut Vec<ConfigFault>) {
     let links = PlantLinks::of(plant);
-    let mut ids: BTreeSet<&str> = BTreeSet::new();
-    for link in links.specs().iter().filter(|link| !ids.insert(&link.id)) {
+    let mut names: BTreeSet<&str> = BTreeSet::new();
+    for name in links.specs().iter().map(|link| links.name_of(&link.id)).filter(|name| !names.insert(name)) {
         let rule = "a PLC of another link has this name: in a fleet, a link has the name of its bus or its PLC";
-        faults.push(source.fault(&["bus", &link.id], rule));
+        faults.push(source.fault(&["bus", name], rule));
     }
 }

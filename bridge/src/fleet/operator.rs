@@ -19,7 +19,7 @@ const NO_ANSWER: &str = "the server does not answer";
 #[error("{0}")]
 pub struct OrderError(String);
 
-/// Moves a link to a member, while that lives and reaches it; without one, back to its placement. The members do
+/// Moves a link, by its id, to a member, while that lives and reaches it; without one, back to its placement. The members do
 /// that when they see the order: it needs no member to be asked.
 ///
 /// # Errors
@@ -28,11 +28,11 @@ pub async fn move_link(
     nats: &NatsSection,
     id: &Name,
     bucket: &Name,
-    link: &Name,
+    link: &str,
     member: Option<&Name>,
 ) -> Result<(), OrderError> {
     let member = member.map_or_else(String::new, Name::to_string);
-    order(nats, id, bucket, &Key::Override(link.as_str()).text(), member).await
+    order(nats, id, bucket, &Key::Override(link).text(), member).await
 }
 
 /// Lets a member give its links to the others, until it is told not to. It keeps those that no other one reaches.

@@ -1,12 +1,14 @@
 //! The links, the member and the hash of a configuration.
 //!
-//! A link is one endpoint: all PLCs behind it have the same owner. Its id is the name of its bus, or of its PLC; of
-//! several, the first by name, so that the order in a file decides nothing. One endpoint of a serial port with
-//! different hosts is a port on each of them.
+//! A link is one address: all PLCs behind it have the same owner. Its id is made of the address, so that members with
+//! different configurations mean the same PLCs by it: with another name, a PLC would get a second master. For people,
+//! it has the name of its bus, or of its PLC; of several, the first one, so that the order in a file decides nothing.
+//! A serial port is another one on each host.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
+use fatek::Endpoint;
 use fatek::plant::{Plant, PlantClass, PlantPlc, PlantTag};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
@@ -14,6 +16,10 @@ use sha2::{Digest as _, Sha256};
 use super::{LinkSpec, Member, Reach};
 use crate::config::Config;
 
+/// The characters of an address in the id of a link.
+const MAX_SHOWN: usize = 48;
+/// The number of bytes of the hash in the id of a link.
+const LINK_HASH_BYTES: usize = 6;
 /// The number of bytes of a hash of a configuration. No one chooses them: 128 bits suffice.
 const HASH_BYTES: usize = 16;
 
@@ -22,6 +28,7 @@ const HASH_BYTES: usize = 16;
 pub struct PlantLinks {
     links: Vec<LinkSpec>,
     of_plc: HashMap<Arc<str>, Arc<str>>,
+    names: HashMap<Arc<str>, Arc<str>>,
     plcs: HashMap<Arc<str>, Vec<Arc<str>>>,
 }
 
@@ -31,12 +38,13 @@ impl PlantLinks {
     pub fn of(plant: &Plant) -> Self {
         let mut groups: BTreeMap<String, Vec<&PlantPlc>> = BTreeMap::new();
         for plc in plant.plcs() {
-            groups.entry(link_key(plc)).or_default().push(plc);
+            groups.entry(link_id(plc.endpoint(), hosts(plc).first().copied())).or_default().push(plc);
         }
         let mut found = Self::default();
-        for plcs in groups.values() {
-            let Some((id, first)) = id_of(plcs).zip(plcs.first()) else { continue };
+        for (id, plcs) in groups {
+            let Some((name, first)) = name_of(&plcs).zip(plcs.first()) else { continue };
             let id: Arc<str> = id.into();
+            found.names.insert(id.clone(), name.into());
             found.links.push(LinkSpec { id: id.clone(), reach: reach(first) });
             let names: Vec<Arc<str>> = plcs.iter().map(|plc| plc.name().into()).collect();
             found.of_plc.extend(names.iter().map(|name| (name.clone(), id.clone())));
@@ -50,6 +58,20 @@ impl PlantLinks {
     #[must_use]
     pub fn specs(&self) -> &[LinkSpec] {
         &self.links
+    }
+
+    /// The name of a link for people: that of its bus, or of its first PLC. The id of one that the plant does not have.
+    #[must_use]
+    pub fn name_of<'a>(&'a self, id: &'a str) -> &'a str {
+        self.names.get(id).map_or(id, |name| name)
+    }
+
+    /// The link of this name: that of a bus or of a PLC, or its id.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<&LinkSpec> {
+        let of_bus = self.names.iter().find(|(_, known)| ***known == *name).map(|(id, _)| id);
+        let id = of_bus.or_else(|| self.link_of(name)).map_or(name, |id| id);
+        self.links.iter().find(|link| *link.id == *id)
     }
 
     /// The PLCs of a link; none of one that the plant does not have.
@@ -142,14 +164,28 @@ pub(crate) fn is_serial(plc: &PlantPlc) -> bool {
     plc.endpoint().transport().serial_settings().is_some()
 }
 
-/// A text that is the same for the PLCs of one link: the endpoint, and for a serial port its hosts.
-fn link_key(plc: &PlantPlc) -> String {
-    let endpoint = plc.endpoint();
-    if is_serial(plc) { format!("{} {endpoint}", hosts(plc).join(" ")) } else { endpoint.to_string() }
+/// The id of the link of an endpoint: its address, and for a serial port the host that has it. The transport and options
+/// such as the framing are not in it. It is a key of the store: of the characters `A-Z a-z 0-9 _ -`, which addresses exceed, so a
+/// hash tells those apart that look alike.
+#[must_use]
+pub(crate) fn link_id(endpoint: &Endpoint, host: Option<&str>) -> String {
+    let text = endpoint.to_string();
+    let address = text.split('?').next().unwrap_or_default();
+    let address = match endpoint.transport().serial_settings() {
+        // Names of files tell capitals apart, names of hosts do not.
+        Some(_) => format!("{address}@{}", host.unwrap_or_default()),
+        // A PLC that is reached by TCP and UDP is one.
+        None => address.split_once("://").map_or(address, |(_, rest)| rest).to_ascii_lowercase(),
+    };
+    let shown: String = address.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect();
+    let hash: String =
+        Sha256::digest(&address).iter().take(LINK_HASH_BYTES).map(|byte| format!("{byte:02x}")).collect();
+    let shown: String = shown.replace("___", "_").chars().take(MAX_SHOWN).collect();
+    format!("{shown}-{hash}")
 }
 
-/// The id of the link of these PLCs.
-fn id_of<'p>(plcs: &[&'p PlantPlc]) -> Option<&'p str> {
+/// The name of the link of these PLCs.
+fn name_of<'p>(plcs: &[&'p PlantPlc]) -> Option<&'p str> {
     let bus = plcs.iter().filter_map(|plc| plc.bus()).min();
     bus.or_else(|| plcs.iter().map(|plc| plc.name()).min())
 }
@@ -188,7 +224,8 @@ mod tests {
     #[test]
     fn each_endpoint_is_a_link_with_its_reach() {
         let plant = config(PLANT).plant;
-        let spec = |id: &str, reach| LinkSpec { id: id.into(), reach };
+        let found = PlantLinks::of(&plant);
+        let spec = |name: &str, reach| (name.to_owned(), reach);
         let both = Reach::Only(vec!["hall-2".into(), "hall-3".into()]);
         let expected = [
             spec("gate1", both),
@@ -197,17 +234,50 @@ mod tests {
             spec("line3", Reach::All),
             spec("mixer", Reach::All),
         ];
-        assert_eq!(links(&plant), expected);
-        let found = PlantLinks::of(&plant);
+        let mut named: Vec<(String, Reach)> =
+            links(&plant).into_iter().map(|link| (found.name_of(&link.id).to_owned(), link.reach)).collect();
+        named.sort_by(|left, right| left.0.cmp(&right.0));
+        assert_eq!(named, expected);
         for (plc, link) in
             [("mixer", "mixer"), ("gate2", "gate1"), ("gate1", "gate1"), ("pump2", "line1"), ("pump3", "line2")]
         {
-            assert_eq!(found.link_of(plc).map(|id| &**id), Some(link), "{plc}");
-            assert!(found.plcs_of(link).iter().any(|name| **name == *plc), "{plc}");
-            assert_eq!(link_of(&plant, plc).as_deref(), Some(link));
+            let id = &found.find(link).unwrap().id;
+            assert_eq!((found.link_of(plc), link_of(&plant, plc).as_ref()), (Some(id), Some(id)), "{plc}");
+            assert!(found.plcs_of(id).iter().any(|name| **name == *plc), "{plc}");
+            assert_eq!((&found.find(plc).unwrap().id, &found.find(id).unwrap().id), (id, id));
         }
         assert_eq!(found.link_of("line1"), None);
-        assert_eq!((found.plcs_of("gate1").len(), found.plcs_of("gate2").len()), (2, 0));
+        assert_eq!((found.plcs_of(found.link_of("gate2").unwrap()).len(), found.plcs_of("gate2").len()), (2, 0));
+    }
+
+    /// While links had the names of their PLCs, a renamed PLC had two masters until the last reload.
+    #[test]
+    fn a_link_is_known_by_its_address_alone() {
+        let id = |text: &str, host: Option<&str>| link_id(&text.parse().unwrap(), host);
+        let first = id("tcp://10.0.0.5", None);
+        assert_eq!(first, "10_0_0_5_500-40dd7b27f0d4");
+        for same in ["tcp://10.0.0.5:500", "tcp://10.0.0.5:500?framing=binary", "udp://10.0.0.5:500"] {
+            assert_eq!(id(same, Some("hall-1")), first, "{same}");
+        }
+        assert_eq!(id("tcp://PLC-7.local", None), id("tcp://plc-7.local", None));
+        let port = id("serial:/dev/ttyUSB0?baud=9600", Some("hall-1"));
+        assert_eq!(port, id("serial:/dev/ttyUSB0?baud=19200", Some("hall-1")));
+        let all = [
+            first,
+            port,
+            id("serial:/dev/ttyUSB0", Some("hall-2")),
+            id("serial:/dev/ttyusb0", Some("hall-1")),
+            id("tcp://10.0.0.5:501", None),
+            id("tcp://10-0.0.5", None),
+        ];
+        let different: std::collections::BTreeSet<&String> = all.iter().collect();
+        assert_eq!(different.len(), all.len(), "{all:?}");
+        assert!(all.iter().all(|id| id.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')), "{all:?}");
+        let names = |name: &str| {
+            let plant = config(&PLANT.replace("plc.mixer", name)).plant;
+            PlantLinks::of(&plant).specs().iter().map(|link| link.id.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(names("plc.mixer"), names("plc.kettle"));
     }
 
     /// Members of different versions compare it, so its algorithm must not change without need.

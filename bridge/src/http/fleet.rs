@@ -52,7 +52,10 @@ struct MemberForm {
 
 #[derive(Clone, Debug, Serialize)]
 struct LinkForm {
+    /// The name: of the bus or of the PLC.
     link: String,
+    /// The id in the store.
+    id: String,
     /// `null`: it has no owner.
     owner: Option<String>,
     /// The fencing token, which is `rev` in the batches of its PLCs.
@@ -124,8 +127,10 @@ pub(super) async fn fleet(shared: State<Shared>) -> Response {
         let error = json!({ "error": "the bridge is not a member of a fleet" });
         return (StatusCode::NOT_FOUND, Json(error)).into_response();
     };
+    let links = membership.links();
     let link = |link: &LinkStatus| LinkForm {
-        link: link.link.to_string(),
+        link: links.name_of(&link.link).to_owned(),
+        id: link.link.to_string(),
         owner: link.owner.as_deref().map(str::to_owned),
         rev: link.token.revision,
         owned_for_ms: Milliseconds(link.owned_for),

@@ -10,7 +10,7 @@ use fatek::Pool;
 use fatek::plant::{Plant, PlantPlc, PlantTag};
 use fatek::poll::{PolledStation, PollerHandle, ScanClass, TagId};
 
-use super::{Place, Plcs, PolledPlc, default_class};
+use super::{Place, PlcOwnership, Plcs, PolledPlc, default_class};
 use crate::batch::milliseconds;
 
 /// The number of PLCs and tags that a configuration has changed. Tags of new and removed PLCs are counted, too.
@@ -66,7 +66,7 @@ impl Staged {
         &mut self,
         plant: &Plant,
         plc: &PlantPlc,
-        revision: u64,
+        ownership: PlcOwnership,
         old: Option<&PolledPlc>,
         pool: &Pool,
         poller: &PollerHandle,
@@ -74,7 +74,9 @@ impl Staged {
         let is_same = |old: &&PolledPlc| {
             let (before, after) = (&old.plc, plc);
             // Each ownership has a link of its own.
-            before.endpoint() == after.endpoint() && before.station() == after.station() && old.revision == revision
+            before.endpoint() == after.endpoint()
+                && before.station() == after.station()
+                && old.revision == ownership.revision
         };
         let (is, kept) = match (old, old.filter(is_same)) {
             (None, _) => (Kind::New, None),
@@ -109,7 +111,8 @@ impl Staged {
                 polled: polled.clone(),
                 ids: Vec::new(),
                 classes: classes.clone(),
-                revision,
+                revision: ownership.revision,
+                gate: ownership.gate,
                 since: kept.map_or_else(|| milliseconds(SystemTime::now()), |kept| kept.since),
             },
             is,
@@ -145,9 +148,14 @@ impl Staged {
         let mut changes = Changes::default();
         plcs.generation = plcs.generation.saturating_add(1);
         for (name, StagedPlc { plc, is, added }) in self.plcs {
-            let revision = plc.revision;
-            let place =
-                |(index, tag): (usize, &PlantTag)| Place { plc: name.clone(), tag: tag.name().into(), index, revision };
+            let (revision, gate) = (plc.revision, plc.gate.clone());
+            let place = |(index, tag): (usize, &PlantTag)| Place {
+                plc: name.clone(),
+                tag: tag.name().into(),
+                index,
+                revision,
+                gate: gate.clone(),
+            };
             let old = plcs.plcs.remove(&name);
             old.iter().flat_map(|old| &old.ids).for_each(|id| drop(plcs.places.remove(id)));
             plcs.places.extend(plc.ids.iter().copied().zip(plc.plc.tags().enumerate().map(place)));

@@ -92,8 +92,9 @@ async fn a_plant_that_cannot_be_polled_changes_nothing() {
     assert_eq!(parts.0.read().places.len(), 4);
 }
 
-fn owned(plcs: &[(&str, u64)]) -> HashMap<Arc<str>, u64> {
-    plcs.iter().map(|(name, revision)| ((*name).into(), *revision)).collect()
+fn owned(plcs: &[(&str, u64)]) -> HashMap<Arc<str>, PlcOwnership> {
+    let ownership = |revision| PlcOwnership { revision, gate: Gate::always_open() };
+    plcs.iter().map(|(name, revision)| ((*name).into(), ownership(*revision))).collect()
 }
 
 fn revisions(registry: &Registry) -> Vec<(String, u64)> {

@@ -18,12 +18,13 @@ const HURRY: Duration = Duration::from_millis(500);
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Delivers what can be delivered in time, and closes everything. A second signal ends the bridge within a second:
-/// returns whether there was one.
+/// returns whether there was one. `is_hurried`: there was one before.
 pub(super) async fn drain(
     bridge: &Bridge,
     outputs: Outputs,
     collector: Option<JoinHandle<()>>,
     signals: &mut Signals,
+    is_hurried: bool,
 ) -> bool {
     let delivered = async {
         bridge.poller.close().await;
@@ -42,6 +43,7 @@ pub(super) async fn drain(
         }
     };
     let mut hurries = tokio::select! {
+        () = std::future::ready(()), if is_hurried => true,
         (delivered, ()) = async { tokio::join!(timeout(DRAIN, delivered), executed) } => {
             if delivered.is_err() {
                 tracing::warn!("an output did not take all batches within {DRAIN:?}");

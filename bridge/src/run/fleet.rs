@@ -6,11 +6,12 @@
 //! ```
 //!
 //! Invariants:
+//! - The id of a link is made of its address: a PLC with another name or another bus keeps its owner.
 //! - A link is opened with the gate of the present ownership, and is closed before the fleet gets it back. So no link
 //!   lives longer than its ownership.
 //! - An endpoint without an ownership has a gate that is never open.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
@@ -22,13 +23,17 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use super::{Bridge, RunError, Signals};
-use crate::config::Config;
+use crate::config::{Config, Name};
 use crate::fleet::{
     Closing, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, FleetTask, Gate, LinkToken, Ownership,
-    PlantLinks, member,
+    PlantLinks, Reach, link_id, member,
 };
-use crate::registry::{AddError, Elsewhere, Share};
+use crate::registry::{AddError, Elsewhere, PlcOwnership, Registry, Share};
 
+/// The part of the bridge that polls what a member owns.
+pub(super) const SHARE: &str = "share of the fleet";
+/// The time for commands that are under way when the bridge ends.
+const COMMANDS: Duration = Duration::from_secs(3);
 /// The time for all links to be closed and released when the bridge ends.
 const LEAVE: Duration = Duration::from_secs(5);
 /// The time between two looks at who has got the PLCs that this member has lost.
@@ -73,15 +78,15 @@ impl Membership {
         MembershipCounts { taken: taken.load(Ordering::Relaxed), lost: lost.load(Ordering::Relaxed) }
     }
 
-    fn links(&self) -> Arc<PlantLinks> {
+    /// The links of the configuration that is in force.
+    pub(crate) fn links(&self) -> Arc<PlantLinks> {
         self.links.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The fencing tokens of the PLCs of a plant whose links this member owns. Their links are opened with the
-    /// gates of these ownerships from now on.
-    pub(super) fn owned_plcs(&self, plant: &Plant) -> HashMap<Arc<str>, u64> {
+    /// The PLCs of a plant whose links this member owns.
+    pub(super) fn owned_plcs(&self, plant: &Plant) -> HashMap<Arc<str>, PlcOwnership> {
         let links = PlantLinks::of(plant);
-        self.owned.plcs(plant, &links, links.specs().iter().map(|link| &link.id))
+        self.owned.plcs(&links, links.specs().iter().map(|link| &link.id))
     }
 
     /// Applies a configuration to the fleet.
@@ -92,36 +97,46 @@ impl Membership {
     }
 }
 
-/// The links that this member owns. Cheap to clone.
-#[derive(Clone, Debug, Default)]
-pub(super) struct OwnedLinks(Arc<RwLock<OwnedState>>);
-
-/// Invariant: `endpoints` has those of the `links`, and no others.
-#[derive(Debug, Default)]
-struct OwnedState {
-    links: HashMap<Arc<str>, Owned>,
-    endpoints: HashMap<Endpoint, Arc<str>>,
+/// The links that this member owns, by id. Cheap to clone.
+///
+/// The id of a link is made of its address, so that a link is opened with the gate of its own ownership, whatever the
+/// configuration calls its PLCs.
+#[derive(Clone, Debug)]
+pub(super) struct OwnedLinks {
+    /// The id of this member: the host of its serial ports.
+    member: Name,
+    links: Arc<RwLock<HashMap<Arc<str>, Owned>>>,
 }
 
 #[derive(Debug)]
 struct Owned {
     token: LinkToken,
     gate: Gate,
-    /// That of the configuration, and those of configurations before it.
-    endpoints: Vec<Endpoint>,
+    /// The endpoint, once its link is open; with each of the options that configurations have given it.
+    opened: Vec<Endpoint>,
 }
 
 impl OwnedLinks {
+    pub(super) fn new(member: Name) -> Self {
+        Self { member, links: Arc::default() }
+    }
+
     /// The pool of a member: its links ask the gates of the ownerships before each write.
     pub(super) fn pool(&self) -> Pool {
         let owned = self.clone();
-        Pool::builder().send_gates(move |endpoint| Some(owned.gate_of(endpoint))).build()
+        let gate_of = move |endpoint: &Endpoint| Some(owned.gate_of(endpoint));
+        // The configuration is the limit: a member must be able to poll what it owns.
+        Pool::builder().send_gates(gate_of).max_endpoints(usize::MAX).build()
     }
 
     fn gate_of(&self, endpoint: &Endpoint) -> SendGate {
-        let owned = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        match owned.endpoints.get(endpoint).and_then(|link| owned.links.get(link)) {
+        let id = link_id(endpoint, Some(self.member.as_str()));
+        let mut links = self.links.write().unwrap_or_else(PoisonError::into_inner);
+        match links.get_mut(id.as_str()) {
             Some(owned) => {
+                if !owned.opened.contains(endpoint) {
+                    owned.opened.push(endpoint.clone());
+                }
                 let gate = owned.gate.clone();
                 SendGate::new(move || gate.is_open())
             }
@@ -130,40 +145,25 @@ impl OwnedLinks {
     }
 
     fn insert(&self, ownership: &Ownership) {
-        let owned = Owned { token: ownership.token, gate: ownership.gate.clone(), endpoints: Vec::new() };
-        self.0.write().unwrap_or_else(PoisonError::into_inner).links.insert(ownership.link.clone(), owned);
+        let owned = Owned { token: ownership.token, gate: ownership.gate.clone(), opened: Vec::new() };
+        self.links.write().unwrap_or_else(PoisonError::into_inner).insert(ownership.link.clone(), owned);
     }
 
-    /// Ends the ownership of a link. Returns its endpoints.
+    /// Ends an ownership. Returns the endpoints whose links are open.
     fn remove(&self, link: &str) -> Vec<Endpoint> {
-        let mut owned = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let removed = owned.links.remove(link).map(|owned| owned.endpoints).unwrap_or_default();
-        removed.iter().for_each(|endpoint| drop(owned.endpoints.remove(endpoint)));
-        removed
+        let removed = self.links.write().unwrap_or_else(PoisonError::into_inner).remove(link);
+        removed.map(|owned| owned.opened).unwrap_or_default()
     }
 
-    /// The PLCs of links of a plant that are owned, with their tokens.
-    fn plcs<'l>(
-        &self,
-        plant: &Plant,
-        links: &PlantLinks,
-        of: impl Iterator<Item = &'l Arc<str>>,
-    ) -> HashMap<Arc<str>, u64> {
-        let mut owned = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let OwnedState { links: known, endpoints } = &mut *owned;
-        let mut plcs = HashMap::new();
-        for link in of {
-            let Some(owned) = known.get_mut(link) else { continue };
-            for plc in links.plcs_of(link).iter().filter_map(|name| plant.plc(name)) {
-                let endpoint = plc.endpoint();
-                if !endpoints.contains_key(endpoint) {
-                    endpoints.insert(endpoint.clone(), link.clone());
-                    owned.endpoints.push(endpoint.clone());
-                }
-                plcs.insert(plc.name().into(), owned.token.revision);
-            }
-        }
-        plcs
+    /// The PLCs of links that are owned.
+    fn plcs<'l>(&self, links: &PlantLinks, of: impl Iterator<Item = &'l Arc<str>>) -> HashMap<Arc<str>, PlcOwnership> {
+        let owned = self.links.read().unwrap_or_else(PoisonError::into_inner);
+        let known = of.filter_map(|link| Some((link, owned.get(link)?)));
+        let plcs = known.flat_map(|(link, owned)| {
+            let ownership = PlcOwnership { revision: owned.token.revision, gate: owned.gate.clone() };
+            links.plcs_of(link).iter().map(move |name| (name.clone(), ownership.clone()))
+        });
+        plcs.collect()
     }
 }
 
@@ -236,6 +236,7 @@ fn settle(bridge: &Bridge, membership: &Membership) {
 struct Changes {
     owned: Vec<Ownership>,
     closings: Vec<Closing>,
+    links: HashSet<Arc<str>>,
 }
 
 impl Changes {
@@ -245,9 +246,7 @@ impl Changes {
             Event::Owned(ownership) => &ownership.link,
             Event::Close(closing) => &closing.link,
         };
-        let is_here = self.owned.iter().any(|owned| owned.link == *link)
-            || self.closings.iter().any(|closing| closing.link == *link);
-        if is_here {
+        if !self.links.insert(link.clone()) {
             return Some(event);
         }
         match event {
@@ -268,8 +267,7 @@ impl Changes {
         self.owned.iter().for_each(|ownership| membership.owned.insert(ownership));
         membership.counters.taken.fetch_add(count(self.owned.len()), Ordering::Relaxed);
         let of = self.owned.iter().map(|ownership| &ownership.link);
-        let mut plcs = membership.owned.plcs(&config.plant, &membership.links(), of);
-        plcs.retain(|plc, _| bridge.registry.read().get(plc).is_none());
+        let plcs = membership.owned.plcs(&membership.links(), of);
         for plc in plcs.keys().filter_map(|name| config.plant.plc(name)) {
             // One that was opened without an ownership, such as for the end of a pulse, has a closed gate.
             bridge.pool.close_endpoint(plc.endpoint()).await;
@@ -281,8 +279,12 @@ impl Changes {
             let _runtime = runtime.enter();
             registry.take(&config.plant, &plcs, &pool, &poller)
         });
-        // An error: the runtime ends.
-        taken.await.unwrap_or(Ok(()))
+        match taken.await {
+            Ok(taken) => taken,
+            // Then the bridge ends.
+            Err(error) if error.is_panic() => std::panic::resume_unwind(error.into_panic()),
+            Err(_) => Ok(()),
+        }
     }
 }
 
@@ -299,17 +301,25 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
     }
     let links = membership.links();
     let status = membership.status();
-    let is_alone = status.members.iter().all(|member| member.id == status.id || member.is_draining);
-    let of_closing = |closing: &Closing| if closing.is_lost || is_alone { Elsewhere::Lost } else { Elsewhere::Member };
+    // It can be old by half a second. An owner repeats its states.
+    let targets: HashMap<&str, bool> = status
+        .links
+        .iter()
+        .map(|link| (&*link.link, link.target.as_ref().is_some_and(|target| *target != status.id)))
+        .collect();
+    let of_closing = |closing: &Closing| {
+        let has_target = targets.get(&*closing.link).copied().unwrap_or(false);
+        if closing.is_lost || !has_target { Elsewhere::Lost } else { Elsewhere::Member }
+    };
     bridge.registry.give_up(closings.iter().flat_map(|closing| {
         let elsewhere = of_closing(closing);
         links.plcs_of(&closing.link).iter().map(move |name| (name, elsewhere))
     }));
     for closing in closings {
-        let endpoints = membership.owned.remove(&closing.link);
+        let opened = membership.owned.remove(&closing.link);
         let pool = bridge.pool.clone();
         tokio::spawn(async move {
-            for endpoint in &endpoints {
+            for endpoint in &opened {
                 pool.close_endpoint(endpoint).await;
             }
             tracing::debug!(link = %closing.link, token = %closing.token, "fleet: closed");
@@ -318,35 +328,66 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
     }
 }
 
-/// Returns whether all PLCs of a configuration can be polled: a member finds out before it joins.
+/// Returns whether all PLCs of a configuration can be polled that a member may get: it finds out before it joins.
 ///
 /// # Errors
 /// [`AddError`] names the PLC.
-pub(super) fn check(plant: &Plant) -> Result<(), AddError> {
-    let poller = fatek::Poller::new();
-    let registry = crate::registry::Registry::default();
-    // Its gates are closed: a pool without gates would connect, and send requests to PLCs of other members.
-    let pool = OwnedLinks::default().pool();
-    registry.apply_share(plant, Share::All, &pool, &poller.handle()).map(drop)
+pub(super) fn check(plant: &Plant, member: &Name) -> Result<(), AddError> {
+    let (poller, pool) = (fatek::Poller::new(), Pool::builder().max_endpoints(usize::MAX).build());
+    let links = PlantLinks::of(plant);
+    let is_for = |reach: &Reach| match reach {
+        Reach::All => true,
+        Reach::Only(hosts) => hosts.iter().any(|host| **host == *member.as_str()),
+        // A port of another host may have other settings.
+        Reach::Pinned(host) => **host == *member.as_str(),
+    };
+    let ownership = PlcOwnership { revision: 0, gate: Gate::always_open() };
+    let own = links.specs().iter().filter(|link| is_for(&link.reach)).flat_map(|link| links.plcs_of(&link.id));
+    let own: HashMap<Arc<str>, PlcOwnership> = own.map(|name| (name.clone(), ownership.clone())).collect();
+    Registry::default().apply_share(plant, Share::Owned(&own), &pool, &poller.handle()).map(drop)
 }
 
-/// Ends the commands that are under way, and gives all links to the other members. A second signal ends the wait.
-pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetTask, signals: &mut Signals) {
+/// Ends polling, and closes all links.
+pub(super) async fn close_all(bridge: &Bridge) {
+    let closed = async {
+        bridge.poller.close().await;
+        bridge.pool.close().await;
+    };
+    if timeout(LEAVE, closed).await.is_err() {
+        tracing::warn!("a link did not close within {LEAVE:?}");
+    }
+}
+
+/// Ends the commands that are under way, and gives all links to the other members. A second signal ends the wait:
+/// returns whether there was one.
+pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetTask, signals: &mut Signals) -> bool {
+    let registry = bridge.registry.clone();
     let left = async {
-        if let Some(commands) = &bridge.commands {
-            commands.close().await;
+        // A reload goes on in its thread. It must not bring back what is given away.
+        let _ = tokio::task::spawn_blocking(move || registry.freeze()).await;
+        if let Some(commands) = &bridge.commands
+            && timeout(COMMANDS, commands.close()).await.is_err()
+        {
+            tracing::warn!("commands did not end within {COMMANDS:?}: their links are closed");
         }
         membership.fleet.leave();
-        task.await
+        timeout(LEAVE, task).await
     };
     tokio::select! {
-        left = timeout(LEAVE, left) => match left {
-            Ok(Ok(Ok(()))) => {}
-            Ok(Ok(Err(error))) => tracing::error!("fleet: {error}"),
-            Ok(Err(_)) => tracing::error!("the fleet has failed: this is a fault of the bridge"),
-            Err(_) => tracing::warn!("the fleet was not left within {LEAVE:?}: its links are free after the lease"),
-        },
-        () = signals.end() => tracing::warn!("a second signal: links are free after the lease"),
+        left = left => {
+            match left {
+                Ok(Ok(Ok(()))) => {}
+                Ok(Ok(Err(error))) => tracing::error!("fleet: {error}"),
+                Ok(Err(_)) => tracing::error!("the fleet has failed: this is a fault of the bridge"),
+                Err(_) => tracing::warn!("the fleet was not left within {LEAVE:?}: its links are free after the lease"),
+            }
+            false
+        }
+        () = signals.end() => {
+            membership.fleet.leave();
+            tracing::warn!("a second signal: links are free after the lease, if they are not given away before");
+            true
+        }
     }
 }
 
@@ -370,6 +411,6 @@ pub(super) fn ended(result: Result<Result<(), FleetError>, JoinError>) -> RunErr
 pub(super) fn ended_share(result: Result<Result<(), AddError>, JoinError>) -> RunError {
     match result {
         Ok(Err(error)) => RunError::Add(error),
-        Ok(Ok(())) | Err(_) => RunError::Panicked("share of the fleet"),
+        Ok(Ok(())) | Err(_) => RunError::Panicked(SHARE),
     }
 }

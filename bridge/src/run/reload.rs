@@ -52,7 +52,7 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));
         let owned = match &membership {
             Some(membership) => {
-                fleet::check(&config.plant)?;
+                fleet::check(&config.plant, &config.bridge.id)?;
                 Some(membership.owned_plcs(&config.plant))
             }
             None => None,

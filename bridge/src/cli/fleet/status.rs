@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-use fatek_bridge::fleet::{LinkStatus, MemberStatus, Observation, config_hash};
+use fatek_bridge::fleet::{LinkStatus, MemberStatus, Observation, PlantLinks, config_hash};
 use serde_json::{Value, json};
 
 use super::Plant;
@@ -68,9 +68,10 @@ impl Report<'_> {
             })
         };
         let moved = &self.seen.moved;
+        let names = PlantLinks::of(&self.plant.config.plant);
         let link = |link: &LinkStatus| {
             json!({
-                "link": &*link.link, "owner": link.owner.as_deref(), "rev": link.token.revision,
+                "link": names.name_of(&link.link), "id": &*link.link, "owner": link.owner.as_deref(), "rev": link.token.revision,
                 "owned_for_ms": milliseconds(link.owned_for), "target": link.target.as_deref(),
                 "moved": moved.get(&*link.link),
             })
@@ -94,7 +95,8 @@ impl fmt::Display for Report<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Observation { members, links, moved, drained, .. } = self.seen;
         writeln!(f, "{}", member_table(members))?;
-        writeln!(f, "{}", link_table(links, moved))?;
+        let names = PlantLinks::of(&self.plant.config.plant);
+        writeln!(f, "{}", link_table(links, moved, &names))?;
         for member in drained.iter().filter(|id| !members.iter().any(|member| *member.id == ***id)) {
             writeln!(f, "{member} gets no links when it is started: fleet drain --undo ends that")?;
         }
@@ -119,14 +121,16 @@ fn member_table(members: &[MemberStatus]) -> Columns<7> {
     columns
 }
 
-fn link_table(links: &[LinkStatus], moved: &BTreeMap<String, String>) -> Columns<5> {
+fn link_table(links: &[LinkStatus], moved: &BTreeMap<String, String>, names: &PlantLinks) -> Columns<5> {
     let mut columns = Columns::new(["LINK", "OWNER", "SINCE", "TOKEN", "TO"]).right([2, 3]);
-    for link in links {
+    let mut links: Vec<(&str, &LinkStatus)> = links.iter().map(|link| (names.name_of(&link.link), link)).collect();
+    links.sort_by_key(|(name, _)| *name);
+    for (name, link) in links {
         let is_leased = link.token.revision > 0;
         let order = moved.get(&*link.link).map(|member| format!("{} by hand", cut(member, 10)));
         let target = link.target.as_ref().filter(|target| link.owner.as_ref() != Some(target));
         columns.row([
-            cut(&link.link, 18),
+            cut(name, 18),
             link.owner.as_ref().map_or("-".to_owned(), |owner| cut(owner, 14)),
             if is_leased { age(link.owned_for) } else { "-".to_owned() },
             if is_leased { link.token.to_string() } else { "-".to_owned() },

@@ -16,6 +16,7 @@ use fatek::tag::{Tag, TagType};
 use serde_json::{Map, Value, json};
 
 use crate::config::Name;
+use crate::fleet::is_serial;
 use crate::topic::Topics;
 
 /// Discovery topics and messages of a bridge.
@@ -61,20 +62,12 @@ impl Discovery {
         matches!(levels[..], [prefix, _, node, _, "config"] if prefix == self.prefix.as_str() && node == self.node)
     }
 
-    /// The PLC of a discovery topic of the bridge; `None`: it is not such a topic.
-    pub(super) fn plc_of(&self, topic: &str) -> Option<String> {
-        if !self.is_own(topic) {
-            return None;
-        }
-        first_of_joined(topic.split('/').nth(3)?)
-    }
-
     /// The messages of a PLC, with their topics.
     pub(super) fn messages(&self, plc: &PlantPlc) -> Vec<(String, Bytes)> {
-        plc.tags().flat_map(|tag| self.entities(plc.name(), tag)).collect()
+        plc.tags().flat_map(|tag| self.entities(plc, tag)).collect()
     }
 
-    fn entities(&self, plc: &str, tag: &PlantTag) -> Vec<(String, Bytes)> {
+    fn entities(&self, plc: &PlantPlc, tag: &PlantTag) -> Vec<(String, Bytes)> {
         let rule = tag.write().filter(|_| self.writes);
         let is_one = tag.tag().value_count() == 1;
         let is_text = tag.tag().tag_type().is_text() || tag.tag().tag_type() == TagType::Hex;
@@ -82,24 +75,28 @@ impl Discovery {
             (_, _) if !is_one || is_text => vec![self.entity("sensor", plc, tag, text_sensor(tag.name()))],
             (TagType::Bool, None) => vec![self.entity("binary_sensor", plc, tag, binary_sensor(tag.name()))],
             (TagType::Bool, Some(WriteRule { pulse: Some(_), .. })) => vec![
-                self.entity("button", plc, tag, self.button(plc, tag.name())),
+                self.entity("button", plc, tag, self.button(plc.name(), tag.name())),
                 self.entity("binary_sensor", plc, tag, binary_sensor(tag.name())),
             ],
-            (TagType::Bool, Some(_)) => vec![self.entity("switch", plc, tag, self.switch(plc, tag.name()))],
-            (_, Some(rule)) => vec![self.entity("number", plc, tag, self.number(plc, tag, rule))],
+            (TagType::Bool, Some(_)) => vec![self.entity("switch", plc, tag, self.switch(plc.name(), tag.name()))],
+            (_, Some(rule)) => vec![self.entity("number", plc, tag, self.number(plc.name(), tag, rule))],
             (_, None) => vec![self.entity("sensor", plc, tag, sensor(tag))],
         }
     }
 
     /// Topic and message of an entity, with the fields that all have.
-    fn entity(&self, component: &str, plc: &str, tag: &PlantTag, special: Value) -> (String, Bytes) {
+    fn entity(&self, component: &str, plc_settings: &PlantPlc, tag: &PlantTag, special: Value) -> (String, Bytes) {
+        let plc = plc_settings.name();
         let id = joined(&[plc, tag.name()]);
         let topic = format!("{}/{component}/{}/{id}/config", self.prefix, self.node);
         let available = "{{ 'online' if value_json is defined and value_json.online else 'offline' }}";
         let plc_state = json!({ "topic": self.topics.plc_state(plc), "value_template": available });
-        // A PLC of a fleet is available also without the member that has sent this.
-        let availability = if self.topics.is_fleet() {
-            vec![plc_state]
+        // A PLC of a fleet is available also without the member that has sent this, unless no other has its port.
+        let availability: Vec<Value> = if self.topics.is_fleet() {
+            let host = plc_settings.hosts().next().filter(|_| is_serial(plc_settings));
+            let of_host =
+                host.map(|host| json!({ "topic": self.topics.member_state(host), "value_template": available }));
+            of_host.into_iter().chain([plc_state]).collect()
         } else {
             vec![json!({ "topic": self.topics.bridge_state(), "value_template": available }), plc_state]
         };
@@ -246,22 +243,6 @@ fn step(tag: Tag) -> f64 {
 fn joined(names: &[&str]) -> String {
     let escaped: Vec<String> = names.iter().map(|name| name.replace('_', "__")).collect();
     escaped.join("_-")
-}
-
-/// The first of several names that were [`joined`].
-fn first_of_joined(text: &str) -> Option<String> {
-    let mut name = String::new();
-    let mut rest = text.chars();
-    loop {
-        match (rest.next()?, &rest) {
-            ('_', after) if after.as_str().starts_with('_') => {
-                rest.next();
-                name.push('_');
-            }
-            ('_', _) => return Some(name),
-            (other, _) => name.push(other),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -5,9 +5,10 @@
 //!
 //! Invariants:
 //! - a message that is wanted and was not acknowledged on this connection is queued or in flight;
+//! - `owned` has the topics of the messages that have an owner, and no others;
 //! - a message that is not wanted any more is cleared, and is forgotten when the broker has acknowledged that.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 
 use bytes::Bytes;
@@ -26,6 +27,8 @@ pub(super) enum Priority {
 pub(super) struct Retained {
     /// By topic.
     messages: BTreeMap<String, Wanted>,
+    /// The topics of each PLC: thousands of them come and go at once in a fleet.
+    owned: HashMap<Arc<str>, BTreeSet<String>>,
     first: BTreeSet<String>,
     between: BTreeSet<String>,
     /// States that are cleared: after the discovery messages that name them.
@@ -55,6 +58,10 @@ impl Retained {
         };
         queue.insert(topic.clone());
         self.last.remove(&topic);
+        self.disown(&topic);
+        if let Some(owner) = owner {
+            self.owned.entry(owner.clone()).or_default().insert(topic.clone());
+        }
         self.messages.insert(topic, Wanted { owner: owner.cloned(), priority, payload, is_announcement: false });
         true
     }
@@ -69,25 +76,33 @@ impl Retained {
 
     /// Leaves all messages of a PLC as they are at the broker: another member of the fleet has them now.
     pub(super) fn forget_owner(&mut self, owner: &Arc<str>) {
-        let Self { messages, first, between, last } = self;
-        messages.retain(|topic, known| {
-            let is_kept = known.owner.as_ref() != Some(owner);
-            if !is_kept {
-                for queue in [&mut *first, &mut *between, &mut *last] {
-                    queue.remove(topic);
-                }
+        for topic in self.owned.remove(owner).unwrap_or_default() {
+            self.messages.remove(&topic);
+            for queue in [&mut self.first, &mut self.between, &mut self.last] {
+                queue.remove(&topic);
             }
-            is_kept
-        });
+        }
+    }
+
+    /// Removes a topic from those of its PLC.
+    fn disown(&mut self, topic: &str) {
+        let Some(owner) = self.messages.get(topic).and_then(|known| known.owner.as_ref()) else { return };
+        if let Some(topics) = self.owned.get_mut(owner) {
+            topics.remove(topic);
+            if topics.is_empty() {
+                let owner = owner.clone();
+                self.owned.remove(&owner);
+            }
+        }
     }
 
     /// Wants exactly these messages of a priority of a PLC: others of it are cleared.
     pub(super) fn replace(&mut self, owner: &Arc<str>, priority: Priority, messages: Vec<(String, Bytes)>) {
         let topics: BTreeSet<&String> = messages.iter().map(|(topic, _)| topic).collect();
-        let is_old = |(topic, known): &(&String, &Wanted)| {
-            known.owner.as_ref() == Some(owner) && known.priority == priority && !topics.contains(topic)
+        let is_old = |topic: &&String| {
+            !topics.contains(*topic) && self.messages.get(*topic).is_some_and(|known| known.priority == priority)
         };
-        let old: Vec<String> = self.messages.iter().filter(is_old).map(|(topic, _)| topic.clone()).collect();
+        let old: Vec<String> = self.owned.get(owner).into_iter().flatten().filter(is_old).cloned().collect();
         old.into_iter().for_each(|topic| self.clear(topic));
         for (topic, payload) in messages {
             self.set(topic, payload, priority, Some(owner));
@@ -170,6 +185,7 @@ impl Retained {
         let is_queued = self.between.contains(topic) || self.last.contains(topic);
         let is_announced = self.messages.get(topic).is_some_and(|known| known.is_announcement);
         if is_announced && !self.first.contains(topic) || !is_queued && !self.is_wanted(topic) {
+            self.disown(topic);
             self.messages.remove(topic);
         }
     }

@@ -147,8 +147,9 @@ impl<'a> Session<'a> {
         }
         self.subscribe();
         self.carried.retained.set(self.shared.topics.bridge_state(), self.shared.birth.clone(), Priority::First, None);
-        self.refresh(true);
+        // Before the refresh, which announces what is lost on this connection.
         self.carried.retained.queue_all();
+        self.refresh(true);
         let ended = self.serve().await;
         self.carry(&ended);
         ended
@@ -411,8 +412,9 @@ impl<'a> Session<'a> {
         } else if self.shared.is_birth_of_home_assistant(topic, &payload, retain) {
             self.carried.retained.queue_wanted(Priority::Between);
         } else if retain && !payload.is_empty() && self.shared.is_own_retained(topic) {
-            // Of a PLC or a tag that went while the bridge was not running or not connected.
-            if !self.carried.retained.is_wanted(topic) && !self.shared.is_of_another_member(topic) {
+            // Of a PLC or a tag that went while the bridge was not running or not connected. In a fleet, it can be of
+            // another member, whose configuration may be newer.
+            if !self.carried.retained.is_wanted(topic) && !self.shared.topics.is_fleet() {
                 self.carried.retained.clear(topic.to_owned());
             }
         }

@@ -37,17 +37,6 @@ impl Shared {
         })
     }
 
-    /// Returns whether a retained message may be of a PLC that another member of the fleet polls.
-    pub(super) fn is_of_another_member(&self, topic: &str) -> bool {
-        let plcs = self.registry.read();
-        self.all_names().any(|(topics, discovery)| {
-            topics.plc_of_state(topic).is_some_and(|plc| plcs.elsewhere(plc).is_some())
-                || discovery
-                    .and_then(|discovery| discovery.plc_of(topic))
-                    .is_some_and(|plc| plcs.elsewhere(&plc).is_some())
-        })
-    }
-
     fn all_names(&self) -> impl Iterator<Item = (&Topics, Option<&Discovery>)> {
         let former = self.former.as_ref().map(|(topics, discovery)| (topics, discovery.as_ref()));
         std::iter::once((&self.topics, self.discovery.as_ref())).chain(former)
