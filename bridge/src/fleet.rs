@@ -48,9 +48,16 @@ pub use self::core::{Member, StoreFault};
 pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
 pub use self::operator::{Observation, OrderError, drain, move_link, observe};
-pub use self::spec::{PlantLinks, config_hash, link_of, links, member};
-pub(crate) use self::spec::{hosts, is_serial, link_id};
+pub use self::spec::{PlantLinks, config_hash, link_id, link_of, links, member};
+pub(crate) use self::spec::{hosts, is_serial};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};
+
+/// The member that is to own a link, of members with the same weight that all reach it.
+#[must_use]
+pub fn placed<'m>(link: &str, members: impl IntoIterator<Item = &'m str>) -> Option<&'m str> {
+    let candidates = members.into_iter().map(|member| placement::Candidate { member, weight: 1, session: "" });
+    placement::target(link, candidates).map(|chosen| chosen.member)
+}
 
 /// The fencing token of an ownership. Tokens of one link rise with each owner.
 ///

@@ -54,12 +54,22 @@ impl Fleet {
     async fn new() -> Option<Self> {
         let folder = TempDir::new().unwrap();
         let nats = NatsServer::start(folder.path())?;
-        let mut plcs = Vec::new();
-        for _ in 0..PLCS {
-            let plc = Plc::new();
-            let bus = Bus::new().with_station(1, plc.clone()).unwrap();
-            plcs.push((Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap(), plc));
-        }
+        let plcs = loop {
+            let mut plcs = Vec::new();
+            for _ in 0..PLCS {
+                let plc = Plc::new();
+                let bus = Bus::new().with_station(1, plc.clone()).unwrap();
+                plcs.push((Server::bind("127.0.0.1:0", bus, Framing::Ascii).await.unwrap(), plc));
+            }
+            let owner = |(server, _): &(Server, Plc)| {
+                let endpoint = format!("tcp://{}", server.local_addr()).parse().unwrap();
+                fatek_bridge::fleet::placed(&fatek_bridge::fleet::link_id(&endpoint, None), ["hall-1", "hall-2"])
+            };
+            // Placement is by addresses. Each of the two is to get one.
+            if ["hall-1", "hall-2"].iter().all(|member| plcs.iter().any(|plc| owner(plc) == Some(*member))) {
+                break plcs;
+            }
+        };
         let fleet = Self { nats, plcs, folder, lines: channel() };
         fleet.init().await;
         Some(fleet)

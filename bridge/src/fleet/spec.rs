@@ -168,7 +168,7 @@ pub(crate) fn is_serial(plc: &PlantPlc) -> bool {
 /// such as the framing are not in it. It is a key of the store: of the characters `A-Z a-z 0-9 _ -`, which addresses exceed, so a
 /// hash tells those apart that look alike.
 #[must_use]
-pub(crate) fn link_id(endpoint: &Endpoint, host: Option<&str>) -> String {
+pub fn link_id(endpoint: &Endpoint, host: Option<&str>) -> String {
     let text = endpoint.to_string();
     let address = text.split('?').next().unwrap_or_default();
     let address = match endpoint.transport().serial_settings() {

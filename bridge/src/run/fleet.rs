@@ -333,7 +333,8 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
 /// # Errors
 /// [`AddError`] names the PLC.
 pub(super) fn check(plant: &Plant, member: &Name) -> Result<(), AddError> {
-    let (poller, pool) = (fatek::Poller::new(), Pool::builder().max_endpoints(usize::MAX).build());
+    // Its gates are closed: a pool without gates would connect, and send requests to PLCs of other members.
+    let (poller, pool) = (fatek::Poller::new(), OwnedLinks::new(member.clone()).pool());
     let links = PlantLinks::of(plant);
     let is_for = |reach: &Reach| match reach {
         Reach::All => true,

@@ -18,7 +18,7 @@ use super::processes::Processes;
 use super::proxy::{Moment, Proxy, Sessions};
 use super::recorder::{Recorder, STREAM, make_store};
 
-/// The links. By their names, each of the first three, four and five members is to own some of them.
+/// The PLCs, each with a link of its own.
 pub(crate) const LINKS: [&str; 10] =
     ["plc10", "plc11", "plc12", "plc13", "plc14", "plc15", "plc16", "plc17", "plc18", "plc19"];
 /// The section of the members.
@@ -35,6 +35,8 @@ pub(crate) struct Fleet {
     processes: Processes,
     sessions: Sessions,
     pub(crate) moments: broadcast::Sender<Moment>,
+    /// The ids of the links, in the order of [`LINKS`].
+    links: Vec<String>,
     /// `None`: no process of the member is started.
     pub(crate) members: Vec<Mutex<Option<Member>>>,
     /// The ways of processes that have ended: messages that they hold may still be delivered.
@@ -55,7 +57,7 @@ impl Fleet {
         let folder = tempfile::tempdir().unwrap();
         let server = NatsServer::start(folder.path())?;
         let processes = Processes::default();
-        let plcs = Plcs::start(LINKS.len(), processes.clone());
+        let (plcs, links) = well_placed(&processes);
         let port = server.port();
         let url = format!("nats://127.0.0.1:{port}");
         let direct = write_config(folder.path(), &plant(&plcs, &url, ""));
@@ -65,7 +67,9 @@ impl Fleet {
         let sessions = Sessions::default();
         Some(Self {
             #[cfg(feature = "naive-fleet")]
-            expiry: naive.filter(|naive| *naive == "ttl").map(|_| super::ttl::Expiry::start(port, sessions.clone())),
+            expiry: naive
+                .filter(|naive| *naive == "ttl")
+                .map(|_| super::ttl::Expiry::start(port, sessions.clone(), links.clone())),
             folder,
             server: Mutex::new(server),
             recorder: Mutex::new(recorder),
@@ -75,7 +79,8 @@ impl Fleet {
             moments: broadcast::channel(1024).0,
             members: (0..5).map(|_| Mutex::new(None)).collect(),
             former: Mutex::default(),
-            oracle: Mutex::new(Oracle::new(LINKS.map(str::to_owned).into())),
+            oracle: Mutex::new(Oracle::new(links.clone())),
+            links,
             nats,
             store,
             naive,
@@ -115,9 +120,9 @@ impl Fleet {
     }
 
     pub(crate) async fn move_link(&self, link: usize, member: Option<usize>) -> Result<(), fleet::OrderError> {
-        let (admin, bucket, link) = (name("admin"), name("leases"), name(LINKS[link]));
+        let (admin, bucket) = (name("admin"), name("leases"));
         let member = member.map(|member| name(&id_of(member)));
-        fleet::move_link(&self.nats, &admin, &bucket, &link, member.as_ref()).await
+        fleet::move_link(&self.nats, &admin, &bucket, &self.links[link], member.as_ref()).await
     }
 
     pub(crate) async fn drain(&self, member: usize, is_drained: bool) -> Result<(), fleet::OrderError> {
@@ -234,6 +239,24 @@ fn plant(plcs: &Plcs, url: &str, fleet: &str) -> String {
         );
     }
     text
+}
+
+/// Starts PLCs at addresses by which each of the first three, four and five members is to own some of them. Returns the
+/// ids of their links, too.
+fn well_placed(processes: &Processes) -> (Plcs, Vec<String>) {
+    let members: Vec<String> = (0..5).map(id_of).collect();
+    loop {
+        let plcs = Plcs::start(LINKS.len(), processes.clone());
+        let endpoint = |port: &u16| format!("tcp://127.0.0.1:{port}").parse().unwrap();
+        let links: Vec<String> = plcs.ports().iter().map(|port| fleet::link_id(&endpoint(port), None)).collect();
+        let has_some = |member: &str, count: usize| {
+            let first = || members[..count].iter().map(String::as_str);
+            links.iter().any(|link| fleet::placed(link, first()) == Some(member))
+        };
+        if (3..=5).all(|count| members[..count].iter().all(|member| has_some(member, count))) {
+            return (plcs, links);
+        }
+    }
 }
 
 /// Makes the store as `fatek-bridge fleet init` does, and makes it anew with republished entries.

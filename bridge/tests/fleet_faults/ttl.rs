@@ -12,7 +12,6 @@ use async_nats::jetstream::{self, Context};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
-use super::fleet::LINKS;
 use super::plan::LEASE;
 use super::proxy::Sessions;
 use super::recorder::STREAM;
@@ -27,7 +26,7 @@ pub(crate) struct Expiry {
 }
 
 impl Expiry {
-    pub(crate) fn start(port: u16, sessions: Sessions) -> Self {
+    pub(crate) fn start(port: u16, sessions: Sessions, links: Vec<String>) -> Self {
         let steps = Steps::default();
         let clock = steps.clone();
         let task = tokio::spawn(async move {
@@ -39,7 +38,7 @@ impl Expiry {
                 let names: Vec<String> = sessions.lock().unwrap().keys().cloned().collect();
                 for name in names.iter().filter(|name| !ended.contains(*name)).cloned().collect::<Vec<_>>() {
                     // Without an answer the server is away.
-                    let expiring = timeout(LEASE, expire(&context, &clock, &name)).await;
+                    let expiring = timeout(LEASE, expire(&context, &clock, &name, &links)).await;
                     if expiring.is_ok_and(|is_over| is_over) {
                         ended.insert(name);
                     }
@@ -67,7 +66,7 @@ fn wall() -> i128 {
 }
 
 /// Ends a session that is too old. Returns whether it is over.
-async fn expire(context: &Context, clock: &Steps, name: &str) -> bool {
+async fn expire(context: &Context, clock: &Steps, name: &str, links: &[String]) -> bool {
     let Ok(stream) = context.get_stream(STREAM).await else { return false };
     let subject = format!("$KV.leases.w.{name}");
     let Ok(entry) = stream.get_last_raw_message_by_subject(&subject).await else { return false };
@@ -80,7 +79,7 @@ async fn expire(context: &Context, clock: &Steps, name: &str) -> bool {
         return false;
     }
     let mut is_done = put(context, subject, "dead").await;
-    for link in LINKS {
+    for link in links {
         let subject = format!("$KV.leases.l.{link}");
         let owner = stream.get_last_raw_message_by_subject(&subject).await;
         if owner.is_ok_and(|owner| &*owner.payload == name.as_bytes()) {
