@@ -19,8 +19,8 @@ const NO_ANSWER: &str = "the server does not answer";
 #[error("{0}")]
 pub struct OrderError(String);
 
-/// Moves a link, by its id, to a member, while that lives and reaches it; without one, back to its placement. The members do
-/// that when they see the order: it needs no member to be asked.
+/// Moves a link, by its id, to a member, while that lives and reaches it; without one, back to its placement. The
+/// members do that when they see the order: it needs no member to be asked.
 ///
 /// # Errors
 /// [`OrderError`] if there is no store, or if it does not answer.

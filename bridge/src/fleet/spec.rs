@@ -164,9 +164,9 @@ pub(crate) fn is_serial(plc: &PlantPlc) -> bool {
     plc.endpoint().transport().serial_settings().is_some()
 }
 
-/// The id of the link of an endpoint: its address, and for a serial port the host that has it. The transport and options
-/// such as the framing are not in it. It is a key of the store: of the characters `A-Z a-z 0-9 _ -`, which addresses exceed, so a
-/// hash tells those apart that look alike.
+/// The id of the link of an endpoint: its address, and for a serial port the host that has it. Transport and options
+/// such as the framing are not in it. It is a key of the store, of the characters `A-Z a-z 0-9 _ -`: addresses have
+/// others, so a hash tells those apart that look alike.
 #[must_use]
 pub fn link_id(endpoint: &Endpoint, host: Option<&str>) -> String {
     let text = endpoint.to_string();

@@ -99,8 +99,8 @@ impl Membership {
 
 /// The links that this member owns, by id. Cheap to clone.
 ///
-/// The id of a link is made of its address, so that a link is opened with the gate of its own ownership, whatever the
-/// configuration calls its PLCs.
+/// The id of a link is made of its address, so that a link is opened with the gate of its own ownership, also if a
+/// configuration gives its PLCs other names.
 #[derive(Clone, Debug)]
 pub(super) struct OwnedLinks {
     /// The id of this member: the host of its serial ports.
