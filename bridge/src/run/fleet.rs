@@ -34,8 +34,10 @@ use crate::registry::{AddError, Elsewhere, PlcOwnership, Registry, Share};
 pub(super) const SHARE: &str = "share of the fleet";
 /// The time for commands that are under way when the bridge ends.
 const COMMANDS: Duration = Duration::from_secs(3);
-/// The time for all links to be closed and released when the bridge ends.
+/// The time for all links to be closed and released when the bridge ends, and more for each of them: few are handed
+/// over at once.
 const LEAVE: Duration = Duration::from_secs(5);
+const LEAVE_LINK: Duration = Duration::from_millis(10);
 /// The time between two looks at who has got the PLCs that this member has lost.
 const LOOK: Duration = Duration::from_secs(1);
 
@@ -153,6 +155,10 @@ impl OwnedLinks {
     fn remove(&self, link: &str) -> Vec<Endpoint> {
         let removed = self.links.write().unwrap_or_else(PoisonError::into_inner).remove(link);
         removed.map(|owned| owned.opened).unwrap_or_default()
+    }
+
+    fn count(&self) -> u32 {
+        u32::try_from(self.links.read().unwrap_or_else(PoisonError::into_inner).len()).unwrap_or(u32::MAX)
     }
 
     /// The PLCs of links that are owned.
@@ -363,6 +369,7 @@ pub(super) async fn close_all(bridge: &Bridge) {
 /// returns whether there was one.
 pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetTask, signals: &mut Signals) -> bool {
     let registry = bridge.registry.clone();
+    let limit = LEAVE + LEAVE_LINK.saturating_mul(membership.owned.count());
     let left = async {
         // A reload goes on in its thread. It must not bring back what is given away.
         let _ = tokio::task::spawn_blocking(move || registry.freeze()).await;
@@ -372,7 +379,7 @@ pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetT
             tracing::warn!("commands did not end within {COMMANDS:?}: their links are closed");
         }
         membership.fleet.leave();
-        timeout(LEAVE, task).await
+        timeout(limit, task).await
     };
     tokio::select! {
         left = left => {
@@ -380,7 +387,7 @@ pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetT
                 Ok(Ok(Ok(()))) => {}
                 Ok(Ok(Err(error))) => tracing::error!("fleet: {error}"),
                 Ok(Err(_)) => tracing::error!("the fleet has failed: this is a fault of the bridge"),
-                Err(_) => tracing::warn!("the fleet was not left within {LEAVE:?}: its links are free after the lease"),
+                Err(_) => tracing::warn!("the fleet was not left within {limit:?}: its links are free after the lease"),
             }
             false
         }
