@@ -21,6 +21,7 @@ pub(super) struct FleetForm {
     state: &'static str,
     /// Why it has stopped for good.
     failure: Option<String>,
+    lease_ms: Milliseconds,
     /// The time until this member may not send to its PLCs any more, unless it is renewed before; `null`: it may not.
     open_for_ms: Option<Milliseconds>,
     links: LinkCounts,
@@ -76,6 +77,7 @@ impl FleetForm {
             member: status.id.to_string(),
             state,
             failure,
+            lease_ms: Milliseconds(config.fleet.as_ref()?.lease.0),
             open_for_ms: status.open_for.map(Milliseconds),
             links: LinkCounts::of(&status),
             members: status.members.iter().map(MemberForm::of).collect(),

@@ -95,7 +95,9 @@ function outputItem(output) {
 const FLEET_MARKS = { active: "good", draining: "stale", joining: "stale", connecting: "bad", failed: "bad", left: "idle" };
 
 /** Items of the fleet: all of it first, then its members. */
-function fleetItems({ fleet, member, state, failure, open_for_ms: openFor, links, members, warnings }) {
+function fleetItems({ fleet, member, state, failure, lease_ms: lease, open_for_ms: openFor, links, members, warnings }) {
+  // A renewal comes three times in a lease, and this status can be half a second old.
+  const isSilent = other => other.silent_for_ms > lease * 0.6 + 500;
   const whole = {
     name: fleet,
     mark: FLEET_MARKS[state] ?? "idle",
@@ -110,14 +112,14 @@ function fleetItems({ fleet, member, state, failure, open_for_ms: openFor, links
   };
   const each = members.map(other => ({
     name: other.member,
-    mark: other.draining || other.silent_for_ms > 1000 ? "stale" : "good",
+    mark: other.draining || isSilent(other) ? "stale" : "good",
     state: [other.member === member && "this bridge", other.draining && "drained"].filter(Boolean).join(", "),
     part: links.all > 0 ? other.links / links.all : 0,
     partState: "good",
     facts: [
       format.counted(other.links, "link"),
       other.weight !== 1 && `weight ${other.weight}`,
-      other.silent_for_ms > 1000 && `silent for ${format.age(other.silent_for_ms)}`,
+      isSilent(other) && `silent for ${format.age(other.silent_for_ms)}`,
       `version ${other.version}`,
     ],
     why: null,
