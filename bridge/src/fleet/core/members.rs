@@ -60,8 +60,15 @@ impl Core {
                 // The result of a request of this member was faster.
                 return;
             }
-            let what = Key::Session(&name).text();
-            return self.fail(StoreFault::SetBack { what, before: known, now: revision });
+            let seen = self.sessions.get_mut(&name).filter(|seen| seen.state != SeenState::Alive);
+            let Some(seen) = seen else {
+                let what = Key::Session(&name).text();
+                return self.fail(StoreFault::SetBack { what, before: known, now: revision });
+            };
+            // A session that has ended was removed, and nats-server 2.15 was killed: then the entry before the last one
+            // is back. It is fenced and removed again: other members may not know that it has ended.
+            // The timer of its removal comes too late for that.
+            (seen.is_purged, seen.is_timer_set) = (false, false);
         }
         let state = match value {
             None => SeenState::Gone,
