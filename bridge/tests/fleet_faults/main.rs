@@ -65,12 +65,13 @@ async fn a_campaign_of_faults_has_no_request_of_a_former_owner() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn naive_variants_have_requests_of_former_owners() {
     let faults = usize::try_from(number("FATEK_FLEET_FAULTS").unwrap_or(300)).unwrap();
-    let seed = number("FATEK_FLEET_SEED").unwrap_or(1);
     let only = std::env::var("FATEK_FLEET_NAIVE").ok();
-    for naive in ["gate", "fence", "ttl"] {
+    // Without a fence, two masters need a process that is stopped for little more than a lease, and late entries.
+    for (naive, seed) in [("gate", 1), ("fence", 2519), ("ttl", 1)] {
         if only.as_ref().is_some_and(|only| only != naive) {
             continue;
         }
+        let seed = number("FATEK_FLEET_SEED").unwrap_or(seed);
         let settings = Settings { seed, faults, naive: Some(naive) };
         let Some(outcome) = campaign::run(&settings).await else { return };
         println!("{naive}: {}", outcome.table());

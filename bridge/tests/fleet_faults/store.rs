@@ -84,6 +84,11 @@ async fn all_end(fleet: &Fleet, round: Round, fresh: Option<usize>) -> Result<()
         let mut place = fleet.members[member].lock().await;
         let Some(process) = place.as_mut() else { continue };
         let status = process.wait().await;
+        // Another thread reads it.
+        let begin = Instant::now();
+        while !process.log().contains(WHY) && begin.elapsed() < LEASE * 4 {
+            sleep(Duration::from_millis(5)).await;
+        }
         let log = process.log();
         if status.and_then(|status| status.code()) != Some(STORE_STATUS) || !log.contains(WHY) {
             let tail: Vec<&str> = log.lines().rev().take(8).collect();
