@@ -667,8 +667,8 @@ fn a_dead_session_is_purged_when_no_link_names_it() {
     assert_eq!(bench.requests.iter().map(|(_, operation)| operation).collect::<Vec<_>>(), [&purge]);
 }
 
-/// nats-server 2.15, killed after a removal, has the entry before the last one again. Seen without the cure: all members
-/// stopped, since the store was set back.
+/// nats-server 2.15, killed after a removal, has the entry before the last one again. Seen without the cure: all
+/// members stopped, since the store was set back.
 #[test]
 fn a_removed_session_that_is_back_is_fenced_again() {
     let mut bench = Bench::active(&[], &[("w.x", DEAD)]);
