@@ -17,6 +17,7 @@ mod rules;
 mod schema;
 mod sections;
 mod source;
+mod stored;
 mod suggestion;
 mod url;
 mod values;
@@ -27,10 +28,12 @@ use fatek::plant::Plant;
 
 pub use self::environment::Environment;
 pub use self::error::{ConfigError, ConfigFault};
-pub use self::print::print;
+pub use self::print::{plant_text, print};
 pub use self::schema::schema;
-pub use self::sections::{BridgeSection, BufferSection, FleetSection, MqttSection, NatsSection, StdoutSection};
+pub use self::sections::{BridgeSection, BufferSection, FleetSection, MqttSection, NatsSection};
+pub use self::sections::{PlantSource, StdoutSection};
 use self::source::Source;
+pub use self::stored::StoredPlant;
 pub use self::url::{Mqtt, Nats, Protocol, ServerUrl};
 pub use self::values::{ByteSize, Name, Period};
 use crate::output::OutputKind;
@@ -54,6 +57,8 @@ pub struct Config {
     pub fleet: Option<FleetSection>,
     /// The PLCs with their tags.
     pub plant: Plant,
+    /// The plant of the store of the fleet, if `plant` is that one.
+    pub stored: Option<StoredPlant>,
 }
 
 /// The sections that a file can have: those of the bridge, those of the plant, and that of the simulator.
@@ -69,13 +74,28 @@ impl Config {
         Self::read(path, &Environment::of_process())
     }
 
-    /// Reads the file of a configuration again, with the same variables and options. Blocks as [`load`](Self::load)
-    /// does.
+    /// Reads the file of a configuration again, with the same variables and options. A plant of the store stays.
+    /// Blocks as [`load`](Self::load) does.
     ///
     /// # Errors
-    /// Those of [`load`](Self::load).
+    /// Those of [`load`](Self::load); a fault if the file wants to have its plant from elsewhere.
     pub fn reload(&self) -> Result<Self, ConfigError> {
-        Self::read(&self.path, &self.environment)
+        let config = Self::read(&self.path, &self.environment)?;
+        if config.has_stored_plant() != self.has_stored_plant() {
+            let rule = "a change of it needs a restart".to_owned();
+            let fault = ConfigFault { line: None, key: "fleet.config".to_owned(), rule };
+            return Err(ConfigError::faults(&self.path, vec![fault]));
+        }
+        match &self.stored {
+            Some(stored) => config.with_plant(stored.clone()),
+            None => Ok(config),
+        }
+    }
+
+    /// Returns whether its plant is that of the store of the fleet.
+    #[must_use]
+    pub fn has_stored_plant(&self) -> bool {
+        self.fleet.as_ref().is_some_and(|fleet| fleet.config == PlantSource::Store)
     }
 
     /// Reads a file as [`load`](Self::load) does, with other variables.
@@ -117,9 +137,9 @@ impl Config {
             }
         }
         let (Some(plant), true) = (plant, faults.is_empty()) else { return Err(ConfigError::faults(path, faults)) };
-        if plant.plcs().next().is_none() {
-            let rule = "there is no PLC: a section such as [plc.mixer] with link and station adds one".to_owned();
-            return Err(ConfigError::faults(path, vec![ConfigFault { line: Some(1), key: "plc".to_owned(), rule }]));
+        let is_stored = sections.fleet.as_ref().is_some_and(|fleet| fleet.config == PlantSource::Store);
+        if plant.plcs().next().is_none() && !is_stored {
+            return Err(ConfigError::faults(path, vec![error::no_plc()]));
         }
         Ok(sections.resolve(path, environment, plant))
     }
@@ -192,7 +212,7 @@ impl Sections {
             [creds_file, password_file, ca_file, cert_file, key_file].into_iter().for_each(credential);
         }
         let (path, environment) = (path.to_owned(), environment.clone());
-        Config { path, environment, bridge, mqtt, nats, stdout, fleet, plant }
+        Config { path, environment, bridge, mqtt, nats, stdout, fleet, plant, stored: None }
     }
 }
 

@@ -21,6 +21,7 @@
 //! | `operator` | orders by hand, and a look at the fleet without joining it |
 //! | `placement` | the member that is to own a link |
 //! | `status` | the state of the fleet, as a member sees it |
+//! | `plants` | the plant in the store, with its versions |
 //! | `simulation` | seeded test of whole fleets with faults |
 //! | `spec` | links, member and hash of a configuration |
 
@@ -33,6 +34,7 @@ mod keys;
 mod naive;
 mod operator;
 mod placement;
+mod plants;
 #[cfg(test)]
 mod simulation;
 mod spec;
@@ -47,7 +49,8 @@ pub use self::bucket::{InitError, Initialized, init};
 pub use self::core::{Member, StoreFault};
 pub use self::driver::{Events, Fleet, FleetError, FleetSettings, FleetTask};
 pub use self::gate::{Gate, boot_time};
-pub use self::operator::{Observation, OrderError, drain, move_link, observe};
+pub use self::operator::{Observation, Observer, OrderError, drain, move_link, observe};
+pub use self::plants::{PlantStore, PlantStoreError, Refusal, init_plants};
 pub use self::spec::{PlantLinks, config_hash, link_id, link_of, links, member};
 pub(crate) use self::spec::{hosts, is_serial};
 pub use self::status::{FleetStatus, LinkStatus, MemberState, MemberStatus};

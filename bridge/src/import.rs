@@ -114,7 +114,7 @@ pub fn import(tables: &[PathBuf], target: &Target, classes: &[(Name, Period)]) -
         }
     };
     for (_, tag) in &tags {
-        let _ = writeln!(text, "{prefix}{} = {}", tag.name(), line(tag));
+        let _ = writeln!(text, "{prefix}{} = {}", tag.name(), toml_of(tag));
     }
     Plant::from_toml(&text).map_err(ImportError::Plant)?;
     Ok(Imported { text, tags: tags.len(), assumed_classes })
@@ -150,7 +150,7 @@ fn class_section(
 }
 
 /// The tag as a value of TOML: its text, or a table.
-fn line(tag: &TagEntry) -> String {
+pub(crate) fn toml_of(tag: &TagEntry) -> String {
     let at = quoted(&tag.tag().to_string());
     let texts = [("class", tag.class()), ("unit", tag.unit()), ("comment", tag.comment()), ("group", tag.group())];
     let keys: Vec<String> =

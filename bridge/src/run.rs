@@ -19,6 +19,7 @@
 mod drain;
 pub mod fleet;
 mod outputs;
+mod plant;
 mod reload;
 mod service;
 
@@ -34,6 +35,8 @@ use tokio_util::sync::CancellationToken;
 
 use self::fleet::{Membership, OwnedLinks};
 use self::outputs::Outputs;
+pub use self::plant::PlantError;
+use self::plant::Update;
 pub use self::reload::ReloadError;
 use self::service::Service;
 use crate::availability;
@@ -93,6 +96,9 @@ pub enum RunError {
     /// The fleet cannot be joined, or its store cannot be used any more.
     #[error(transparent)]
     Fleet(#[from] FleetError),
+    /// The store of the fleet has no plant that can be used.
+    #[error(transparent)]
+    Plant(#[from] PlantError),
     /// A signal handler cannot be installed.
     #[error("cannot start: {0}")]
     Start(#[from] io::Error),
@@ -154,6 +160,10 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let mut signals = Signals::new()?;
     file_limit::raise();
     let service = Service::new();
+    let config = tokio::select! {
+        loaded = plant::load(config) => loaded?,
+        () = signals.end() => return Ok(()),
+    };
     let poller = Poller::new();
     let buffer = open_buffer(&config).await?;
     let owned = OwnedLinks::new(config.bridge.id.clone());
@@ -199,6 +209,8 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let stop_http = CancellationToken::new();
     let mut http = tokio::spawn(http::serve(bridge.clone(), listener, stop_http.clone()));
     let mut outputs = Outputs::start(&bridge);
+    let (updates_in, mut updates) = tokio::sync::mpsc::channel(1);
+    let mut plants = tokio::spawn(plant::watch(Config::clone(&bridge.config()), updates_in));
     tracing::info!("started; {changes}");
     service.ready();
     let ended = loop {
@@ -215,6 +227,18 @@ pub async fn run(config: Config) -> Result<(), RunError> {
                     }
                 }
             },
+            Some(Update { plant, done }) = updates.recv() => {
+                service.reloading();
+                tokio::select! {
+                    result = reload::take_plant(&bridge, &mut outputs, plant.clone()) => {
+                        plant::finish(&bridge.config(), &plant, result, done).await;
+                        service.ready();
+                    }
+                    () = service.stay_alive(&bridge.liveness) => {}
+                    () = signals.end() => break Ok(()),
+                }
+            }
+            _ = &mut plants => break Err(RunError::Panicked("watch of the plant")),
             name = outputs.panicked() => break Err(RunError::Panicked(name)),
             _ = &mut collector => break Err(RunError::Panicked("collector")),
             _ = &mut http => break Err(RunError::Panicked("page")),
@@ -247,6 +271,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         None => false,
     };
     drop(share);
+    plants.abort();
     present.abort();
     // Links that close are no news.
     availability.abort();

@@ -262,3 +262,222 @@ async fn an_operator_sees_and_changes_who_owns_what() {
     let shown = until("hall-1 is silent", &path, |shown| state(shown, "hall-1") == Some("silent")).await;
     assert!(shown["warnings"].to_string().contains("no member runs"), "{shown:#}");
 }
+
+/// The sections of a member that has its plant from the store.
+fn own(server: &NatsServer) -> String {
+    format!(
+        "[bridge]\nhttp = '127.0.0.1:0'\nbuffer = {{ dir = 'buffer' }}\n[nats]\nurl = 'nats://127.0.0.1:{}'\n\
+         [fleet]\nid = 'plant-a'\nbucket = 'leases'\nlease = '1s'\nconfig = 'store'\n",
+        server.port()
+    )
+}
+
+fn plcs(names: &[&str]) -> String {
+    let plc = |(n, name): (usize, &&str)| {
+        format!("[plc.{name}]\nlink = 'tcp://127.0.0.1:{}'\nstation = 1\ntag.level = 'R5'\n", 1000 + n)
+    };
+    names.iter().enumerate().map(plc).collect()
+}
+
+/// A fleet whose plant is in the store.
+struct Stored {
+    folder: tempfile::TempDir,
+    server: NatsServer,
+    /// The file of the operator.
+    path: PathBuf,
+}
+
+impl Stored {
+    /// `None`: nats-server is missing.
+    fn new() -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let server = NatsServer::start(folder.path())?;
+        let path = write_config(folder.path(), &own(&server));
+        assert_eq!(fleet("init", &path, &[]).0, 0);
+        Some(Self { folder, server, path })
+    }
+
+    fn push(&self, plant: &str, more: &[&str]) -> (i32, String) {
+        write_config(self.folder.path(), &(own(&self.server) + plant));
+        fleet("push", &self.path, more)
+    }
+
+    fn start(&self, id: &str) -> Bridge {
+        let state = self.folder.path().join(id);
+        std::fs::create_dir_all(&state).unwrap();
+        let path = write_config(&state, &own(&self.server));
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fatek-bridge"));
+        command.args(["run", path.to_str().unwrap(), "--id", id]).env("STATE_DIRECTORY", state);
+        Bridge::spawn(command)
+    }
+
+    /// Waits until these members own these links, by the plant of the store.
+    async fn until_owned(&self, members: &[&str], links: usize) -> Value {
+        let path = write_config(self.folder.path(), &own(&self.server));
+        until("all own their links", &path, |shown| {
+            let of_store = |member: &Value| member["config"] == shown["config"];
+            let is_there = |id: &&str| state(shown, id) == Some("active");
+            let owned = members.iter().map(|id| owners(shown, id).len()).sum::<usize>();
+            members.iter().all(is_there) && owned == links && shown["members"].as_array().unwrap().iter().all(of_store)
+        })
+        .await
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_push_gives_the_plant_to_all_members() {
+    let Some(fleet) = Stored::new() else { return };
+    let mut early = fleet.start("hall-1");
+    assert_eq!(early.wait().code(), Some(1));
+    assert!(
+        early.log().contains("the store has no plant yet: fatek-bridge fleet push puts it there"),
+        "{}",
+        early.log()
+    );
+    let (_, shown) = self::fleet("status", &fleet.path, &[]);
+    assert!(shown.contains("warning: the store has no plant yet"), "{shown}");
+
+    for (plant, fault) in [
+        ("[plc.a]\nlink = 'tcp://h'\n", "line 11, plc.a.station: it is missing"),
+        ("", "plc: there is no PLC"),
+        ("[bus.a]\nlink = 'serial:/dev/ttyX'\nstations = { x = 1 }\n", "bus.a.host: a serial port has one host"),
+    ] {
+        let (code, text) = fleet.push(plant, &[]);
+        assert!(code == 2 && text.contains(fault), "{fault}: {text}");
+    }
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate"]), &[]);
+    let expected =
+        "Version 1 is in the store: 2 PLCs with 2 tags.\nNo member runs: they load it when they are started.\n";
+    assert_eq!((code, &*text), (0, expected));
+
+    let hall_1 = fleet.start("hall-1");
+    hall_1.wait_for_log("version 1 of the plant");
+    fleet.until_owned(&["hall-1"], 2).await;
+    // One that is started later has the newest version, and so has one that runs.
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate", "pump"]), &[]);
+    assert!(code == 0 && text.ends_with("All members have loaded it: hall-1.\n"), "{text}");
+    let hall_2 = fleet.start("hall-2");
+    let shown = fleet.until_owned(&["hall-1", "hall-2"], 3).await;
+    assert_eq!((&shown["version"], &shown["warnings"]), (&Value::from(2), &Value::Array(Vec::new())), "{shown:#}");
+    let (code, text) = fleet.push(&(plcs(&["mixer", "gate"]) + "# other comment\n"), &[]);
+    assert!(code == 0 && text.ends_with("All members have loaded it: hall-1, hall-2.\n"), "{text}");
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate"]), &[]);
+    assert_eq!((code, &*text), (0, "The store has this plant already: version 3 of the plant.\n"));
+    // SIGHUP keeps the plant.
+    hall_1.signal("HUP");
+    hall_1.wait_for_log("reloaded; PLCs: 0 added, 0 moved, 0 removed");
+    fleet.until_owned(&["hall-1", "hall-2"], 2).await;
+
+    let (code, text) = fleet.push(&plcs(&["mixer", "door"]), &[]);
+    assert!(code == 0 && text.ends_with("All members have loaded it: hall-1, hall-2.\n"), "{text}");
+    let long = "x".repeat(4000);
+    let tags = (0..300).map(|n| format!("tag.a{n}_ = {{ at = 'R5', comment = '{long}' }}\n"));
+    let (code, text) = fleet.push(&(plcs(&["mixer"]) + &tags.collect::<String>()), &[]);
+    assert!(code == 1 && text.contains("bytes, and the server takes 1048576: raise max_payload"), "{text}");
+    write_config(fleet.folder.path(), &(own(&fleet.server).replace("config = 'store'\n", "") + &plcs(&["a"])));
+    let (code, text) = self::fleet("push", &fleet.path, &[]);
+    assert!(code == 2 && text.contains("fleet.config is not store"), "{text}");
+    drop(hall_2);
+}
+
+/// Seen to fail with a roll-back that stores no plant (hall-1 keeps the refused one), and with a member that does not
+/// store its refusal (none within 60 s).
+#[tokio::test(flavor = "multi_thread")]
+async fn a_push_is_rolled_back_if_a_member_refuses_it() {
+    let Some(fleet) = Stored::new() else { return };
+    assert_eq!(fleet.push(&plcs(&["mixer"]), &[]).0, 0);
+    let hall_1 = fleet.start("hall-1");
+    fleet.until_owned(&["hall-1"], 1).await;
+    let keys = async_nats::jetstream::new(fleet.server.client().await).get_key_value("leases_config").await.unwrap();
+
+    // A plant that was not checked: the member goes on, and says why.
+    let version = keys.put("plant", "[plc.mixer]\nlink = 'tcp://h'\n".into()).await.unwrap();
+    hall_1.wait_for_log(&format!("version {version} of the plant is refused, and nothing has changed"));
+    let path = write_config(fleet.folder.path(), &own(&fleet.server));
+    let begin = Instant::now();
+    let refusal = loop {
+        if let Some(value) = keys.get("r.hall-1").await.unwrap() {
+            break serde_json::from_slice::<Value>(&value).unwrap();
+        }
+        assert!(begin.elapsed() < PATIENCE);
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    };
+    assert_eq!(refusal["version"], version);
+    assert!(refusal["why"].as_str().unwrap().contains("line 1, plc.mixer.station: it is missing"), "{refusal}");
+    let (code, text) = self::fleet("status", &path, &[]);
+    assert!(
+        code == 1 && text.contains(&format!("version {version} of the plant: line 1, plc.mixer.station")),
+        "{text}"
+    );
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate"]), &[]);
+    assert!(code == 0 && text.ends_with("All members have loaded it: hall-1.\n"), "{text}");
+    let good = fleet.until_owned(&["hall-1"], 2).await;
+
+    // A member of an older program, which refuses a key that it does not know: the protocol of a member, and the test.
+    let other = Member::start(&config(&tempfile::tempdir().unwrap().keep(), fleet.server.port(), 1), "hall-9");
+    until("it runs", &path, |shown| state(shown, "hall-9") == Some("active")).await;
+    write_config(fleet.folder.path(), &(own(&fleet.server) + &plcs(&["mixer", "gate", "pump"])));
+    let before = keys.entry("plant").await.unwrap().unwrap().revision;
+    let operator = fleet.path.clone();
+    let pushed = tokio::task::spawn_blocking(move || self::fleet("push", &operator, &[]));
+    let refusing = async {
+        let version = loop {
+            let now = keys.entry("plant").await.unwrap().unwrap().revision;
+            if now > before {
+                break now;
+            }
+            if pushed.is_finished() {
+                return 0;
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        };
+        // The other one has loaded it by then.
+        hall_1.wait_for_log(&format!("version {version} of the plant is in force"));
+        let refusal = format!("{{\"version\":{version},\"why\":\"the key is unknown\"}}");
+        keys.put("r.hall-9", refusal.into()).await.unwrap();
+        version
+    };
+    let version = refusing.await;
+    let (code, text) = pushed.await.unwrap();
+    assert!(code == 1 && text.contains("error: hall-9 refuses it: the key is unknown\n"), "{text}");
+    assert!(text.contains(&format!("error: version {version} was rolled back: version ")), "{text}");
+    let after = until("hall-1 has the former plant", &path, |shown| owners(shown, "hall-1").len() == 2).await;
+    assert_eq!(after["config"], good["config"]);
+    other.fleet.leave();
+    until("it has left", &path, |shown| state(shown, "hall-9").is_none()).await;
+
+    // A member that does not answer, and one that is told to leave it.
+    let other = Member::start(&config(&tempfile::tempdir().unwrap().keep(), fleet.server.port(), 1), "hall-9");
+    until("it runs", &path, |shown| state(shown, "hall-9") == Some("active")).await;
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate", "pump"]), &["--timeout", "1s"]);
+    assert!(code == 1 && text.contains("error: hall-9 has not loaded it within 1s"), "{text}");
+    assert!(text.contains("was rolled back"), "{text}");
+    let (code, text) = fleet.push(&plcs(&["mixer", "gate", "pump"]), &["--timeout", "1s", "--no-rollback"]);
+    assert!(code == 1 && text.contains("stays in the store"), "{text}");
+    until("hall-1 has the new plant", &path, |shown| owners(shown, "hall-1").len() == 3).await;
+    other.kill();
+}
+
+/// Without the copy, seen to fail: the member waits for the store.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_member_without_the_store_has_its_copy_of_the_plant() {
+    let Some(mut fleet) = Stored::new() else { return };
+    assert_eq!(fleet.push(&plcs(&["mixer", "gate"]), &[]).0, 0);
+    let mut hall_1 = fleet.start("hall-1");
+    fleet.until_owned(&["hall-1"], 2).await;
+    hall_1.signal("TERM");
+    assert_eq!(hall_1.wait().code(), Some(0), "{}", hall_1.log());
+    fleet.server.kill();
+
+    let mut hall_2 = fleet.start("hall-2");
+    hall_2.wait_for_log("waiting for the plant, of which there is no copy here");
+    hall_2.signal("TERM");
+    assert_eq!(hall_2.wait().code(), Some(0), "a signal ends the wait: {}", hall_2.log());
+    let hall_1 = fleet.start("hall-1");
+    hall_1.wait_for_log("starting with the copy of the plant in the state folder");
+    hall_1.wait_for_log("started; ");
+    fleet.server.run();
+    let hall_2 = fleet.start("hall-2");
+    fleet.until_owned(&["hall-1", "hall-2"], 2).await;
+    drop(hall_2);
+}

@@ -13,6 +13,7 @@ use crate::element::{Element, Width};
 use crate::endpoint::Endpoint;
 use crate::tag::{Tag, TagType};
 use crate::tag_table::{TagEntry, TagTable};
+use crate::transport::Transport;
 
 const TAG_KEYS: &str = "at class unit comment group deadband heartbeat on_change write";
 const PLC_KEYS: &str = "link station use tag tags host only";
@@ -56,14 +57,15 @@ pub(super) fn parse(text: &str, load: LoadTable<'_>) -> Result<Plant, PlantError
             templates.push(Template { name: name.into(), tags: tags(&section, &plant, &mut faults) });
         }
     }
+    let mut taken = Taken::default();
     for (name, field) in sections("plc", &mut file, &mut faults) {
         if let Some(plc) = plc(name, &field, (&plant, &templates), load, &mut faults) {
-            add(&mut plant, plc, "plc", &mut faults);
+            add(&mut plant, &mut taken, plc, "plc", &mut faults);
         }
     }
     for (name, field) in sections("bus", &mut file, &mut faults) {
         for plc in bus(name, &field, (&plant, &templates), &mut faults) {
-            add(&mut plant, plc, "bus", &mut faults);
+            add(&mut plant, &mut taken, plc, "bus", &mut faults);
         }
     }
     let faults = faults.into_list();
@@ -83,25 +85,39 @@ fn named<'t>(section: &Section<'t>, faults: &mut Faults) -> Vec<(&'t str, Field<
     entries
 }
 
+/// The numbers of the PLCs of a plant by what no two of them may share. A plant can have thousands.
+#[derive(Default)]
+struct Taken {
+    names: HashMap<Arc<str>, usize>,
+    /// Serial ports of several hosts can have one name.
+    stations: HashMap<(Transport, u8), Vec<usize>>,
+    lines: HashMap<Transport, Vec<usize>>,
+}
+
 /// Adds a PLC unless its name, or its link and station, is taken.
-fn add(plant: &mut Plant, plc: PlantPlc, section: &str, faults: &mut Faults) {
-    let same = plant.plcs.iter().find(|other| other.name == plc.name);
-    let is_taken = |other: &&PlantPlc| {
-        let is_same = other.station == plc.station && other.endpoint.transport() == plc.endpoint.transport();
-        is_same && !are_ports_of_two_hosts(other, &plc)
-    };
-    let same_station = plant.plcs.iter().find(is_taken);
-    let of_line = |other: &&PlantPlc| {
-        let is_same = other.endpoint.transport().identity() == plc.endpoint.transport().identity();
-        is_same && !are_ports_of_two_hosts(other, &plc)
-    };
+fn add(plant: &mut Plant, taken: &mut Taken, plc: PlantPlc, section: &str, faults: &mut Faults) {
     let transport = plc.endpoint.transport();
-    let other_settings = plant.plcs.iter().filter(of_line).find(|other| other.endpoint != plc.endpoint);
-    let fault = match (same, same_station, other_settings.filter(|_| transport.is_one_line())) {
+    let line = transport.is_one_line().then(|| transport.identity());
+    let of = |numbers: Option<&Vec<usize>>, is_fault: &dyn Fn(&PlantPlc) -> bool| {
+        let others = numbers.into_iter().flatten().filter_map(|&number| plant.plcs.get(number));
+        let mut others = others.filter(|other| !are_ports_of_two_hosts(other, &plc));
+        others.find(|other| is_fault(other)).map(|other| other.name.to_string())
+    };
+    let same = taken.names.get(&plc.name).and_then(|&number| plant.plcs.get(number));
+    let same_station = of(taken.stations.get(&(transport.clone(), plc.station)), &|_| true);
+    let same_line = line.as_ref().and_then(|line| taken.lines.get(line));
+    let other_settings = of(same_line, &|other| other.endpoint != plc.endpoint);
+    let fault = match (same, same_station, other_settings) {
         (Some(first), _, _) => PlantFault::DoubleName { name: plc.name.to_string(), first_line: first.line },
-        (None, Some(other), _) => PlantFault::DoubleStation { other: other.name.to_string() },
-        (None, None, Some(other)) => PlantFault::OtherSettings { other: other.name.to_string() },
-        (None, None, None) => return plant.plcs.push(plc),
+        (None, Some(other), _) => PlantFault::DoubleStation { other },
+        (None, None, Some(other)) => PlantFault::OtherSettings { other },
+        (None, None, None) => {
+            let number = plant.plcs.len();
+            taken.names.insert(plc.name.clone(), number);
+            taken.stations.entry((transport.clone(), plc.station)).or_default().push(number);
+            line.into_iter().for_each(|line| taken.lines.entry(line).or_default().push(number));
+            return plant.plcs.push(plc);
+        }
     };
     faults.push(plc.line, &format!("{section}.{}", plc.bus.as_ref().unwrap_or(&plc.name)), fault);
 }

@@ -122,13 +122,13 @@ pub(super) fn links(config: &Config, plans: &[ClassPlan], findings: &mut Vec<Fin
     // In a fleet, a port of the same name on another host is another link.
     let of_fleet = config.fleet.as_ref().map(|_| PlantLinks::of(&config.plant));
     let mut links: Vec<LinkLoad> = Vec::new();
+    let mut numbers: HashMap<(String, Option<String>), usize> = HashMap::new();
     let mut of_plc: HashMap<&str, usize> = HashMap::new();
     for plc in config.plant.plcs() {
         let link = plc.endpoint().to_string();
         let id_of = |links: &PlantLinks| Some(links.name_of(links.link_of(plc.name())?).to_owned());
         let id = of_fleet.as_ref().and_then(id_of);
-        let known = links.iter().position(|known| known.link == link && known.id == id);
-        let number = known.unwrap_or(links.len());
+        let number = *numbers.entry((link.clone(), id.clone())).or_insert(links.len());
         of_plc.insert(plc.name(), number);
         match links.get_mut(number) {
             Some(known) => known.plcs += 1,

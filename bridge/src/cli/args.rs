@@ -232,7 +232,7 @@ pub(super) fn name(text: &str) -> Result<Name, &'static str> {
     Name::parse(text).ok_or("a name has 1 to 64 of the characters A-Z a-z 0-9 _ -")
 }
 
-fn time(text: &str) -> Result<Duration, &'static str> {
+pub(super) fn time(text: &str) -> Result<Duration, &'static str> {
     const DAY: Duration = Duration::from_secs(24 * 3600);
     let time = humantime::parse_duration(text).ok().filter(|time| *time <= DAY);
     time.ok_or("a time is a number with a unit, at most 24h, such as 500ms or 10s")

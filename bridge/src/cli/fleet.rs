@@ -1,13 +1,15 @@
 //! The commands of a fleet. They talk to its store, and not to its members.
 
 pub(super) mod args;
+mod push;
 mod status;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::process::ExitCode;
 
 use fatek_bridge::config::{Config, FleetSection, Name, NatsSection};
-use fatek_bridge::fleet::{self, Initialized, LinkSpec, Observation, PlantLinks, Reach};
+use fatek_bridge::fleet::{self, Initialized, LinkSpec, Observation, PlantLinks, PlantStore, Reach};
 use tokio::runtime::Runtime;
 
 use self::args::{DrainArgs, FleetCommand, MoveArgs, PlantArgs, StatusArgs};
@@ -25,6 +27,7 @@ pub(super) fn run(command: &FleetCommand) -> io::Result<ExitCode> {
             FleetCommand::Status(args) => status(args).await,
             FleetCommand::Drain(args) => drain(args).await,
             FleetCommand::Move(args) => move_link(args).await,
+            FleetCommand::Push(args) => push::push(args).await,
         }
     });
     match done {
@@ -38,10 +41,29 @@ struct Plant {
     config: Config,
     fleet: FleetSection,
     nats: NatsSection,
+    /// The members that have refused the version of the store, and why.
+    refusals: BTreeMap<String, String>,
 }
 
 impl Plant {
-    fn load(args: &PlantArgs) -> Result<Self, Refusal> {
+    /// Reads a file, with the plant of the store if it is to have that.
+    async fn load(args: &PlantArgs) -> Result<Self, Refusal> {
+        let mut plant = Self::read(args)?;
+        if plant.config.has_stored_plant() {
+            let store = PlantStore::open(&plant.nats, plant.id(), &plant.fleet.bucket).await;
+            let store = store.map_err(|error| plant.failure(error))?;
+            let refusals = store.refusals().map(|(member, why)| (member.to_owned(), why.to_owned()));
+            plant.refusals = refusals.collect();
+            plant.config = match store.current() {
+                Some(stored) => plant.config.with_plant(stored.clone()).map_err(|error| plant.failure(error))?,
+                None => Config { plant: Default::default(), ..plant.config },
+            };
+        }
+        Ok(plant)
+    }
+
+    /// Reads a file.
+    fn read(args: &PlantArgs) -> Result<Self, Refusal> {
         let config = Config::read(&args.config, &args.environment());
         let config = config.map_err(|error| (error.to_string(), STATUS_USAGE))?;
         // A configuration with a fleet has a server.
@@ -49,7 +71,7 @@ impl Plant {
             let text = format!("{}: it has no section fleet", args.config.display());
             return Err((text, STATUS_USAGE));
         };
-        Ok(Self { config, fleet, nats })
+        Ok(Self { config, fleet, nats, refusals: BTreeMap::new() })
     }
 
     fn id(&self) -> &Name {
@@ -73,8 +95,11 @@ impl Plant {
 }
 
 async fn init(args: &PlantArgs) -> Result<String, Refusal> {
-    let plant = Plant::load(args)?;
+    let plant = Plant::read(args)?;
     let bucket = &plant.fleet.bucket;
+    // First that of the plant: a member needs both.
+    let made = fleet::init_plants(&plant.nats, plant.id(), bucket).await;
+    made.map_err(|error| plant.failure(error))?;
     let made = fleet::init(&plant.nats, plant.id(), bucket).await;
     Ok(match made.map_err(|error| plant.failure(error))? {
         Initialized::Made(1) => format!(
@@ -87,14 +112,14 @@ async fn init(args: &PlantArgs) -> Result<String, Refusal> {
 }
 
 async fn status(args: &StatusArgs) -> Result<String, Refusal> {
-    let plant = Plant::load(&args.plant)?;
+    let plant = Plant::load(&args.plant).await?;
     let seen = plant.observe().await?;
     let report = status::Report { plant: &plant, seen: &seen };
     Ok(if args.json { format!("{:#}", report.to_json()) } else { report.to_string() })
 }
 
 async fn drain(args: &DrainArgs) -> Result<String, Refusal> {
-    let plant = Plant::load(&args.plant)?;
+    let plant = Plant::load(&args.plant).await?;
     let member = &args.member;
     let seen = plant.observe().await?;
     let done = fleet::drain(&plant.nats, plant.id(), &plant.fleet.bucket, member, !args.undo).await;
@@ -111,7 +136,7 @@ async fn drain(args: &DrainArgs) -> Result<String, Refusal> {
 }
 
 async fn move_link(args: &MoveArgs) -> Result<String, Refusal> {
-    let plant = Plant::load(&args.plant)?;
+    let plant = Plant::load(&args.plant).await?;
     let link = &args.link;
     let links = PlantLinks::of(&plant.config.plant);
     let Some(spec) = links.find(link.as_str()) else {

@@ -76,6 +76,12 @@ impl ConfigError {
     }
 }
 
+/// The fault of a plant without PLCs.
+pub(super) fn no_plc() -> ConfigFault {
+    let rule = "there is no PLC: a section such as [plc.mixer] with link and station adds one".to_owned();
+    ConfigFault { line: Some(1), key: "plc".to_owned(), rule }
+}
+
 /// The faults of the sections of a plant.
 pub(super) fn plant_faults(error: PlantFileError, text: &str) -> Vec<ConfigFault> {
     let PlantFileError::Plant { errors, .. } = &error else {

@@ -7,12 +7,15 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use fatek::tag_table::{TableFileError, TagTable};
 use serde::Serialize;
 use toml::{Table, Value};
 
 use super::environment::{Environment, beside};
 use super::source::Source;
-use super::{Config, ConfigError, Period, Sections};
+use super::stored::PLANT_SECTIONS;
+use super::{Config, ConfigError, ConfigFault, Period, Sections};
+use crate::import::toml_of;
 
 /// Prints a configuration without faults.
 ///
@@ -54,6 +57,42 @@ pub fn print(path: &Path, environment: &Environment) -> Result<String, ConfigErr
         for (name, keys) in sim {
             begin(&mut printed, &format!("sim.{name}"));
             entries(&mut printed, "", keys);
+        }
+    }
+    Ok(printed)
+}
+
+/// The sections of a plant, with tables of tags as keys `tag`, for the store of a fleet. Comments are left out.
+///
+/// # Errors
+/// Those of [`Config::read`].
+pub fn plant_text(path: &Path, environment: &Environment) -> Result<String, ConfigError> {
+    Config::read(path, environment)?;
+    let text = std::fs::read_to_string(path).map_err(|error| ConfigError::io(path, error))?;
+    let table: Table = text.parse().unwrap_or_default();
+    let mut printed = String::new();
+    for section in PLANT_SECTIONS {
+        let Some(keys) = table.get(section).and_then(Value::as_table) else { continue };
+        if section == "class" {
+            begin(&mut printed, section);
+            entries(&mut printed, "", &Value::Table(keys.clone()));
+            continue;
+        }
+        for (name, keys) in keys {
+            begin(&mut printed, &format!("{section}.{name}"));
+            let mut keys = keys.clone();
+            // A template has tags alone, also one of this name.
+            let tags = keys.as_table_mut().filter(|_| section == "plc").and_then(|keys| keys.remove("tags"));
+            entries(&mut printed, "", &keys);
+            let Some(tags) = tags.as_ref().and_then(Value::as_str) else { continue };
+            let table = TagTable::load(path.parent().unwrap_or(Path::new("")).join(tags));
+            // A table that has changed since it was read above.
+            let changed =
+                |error: TableFileError| ConfigFault { line: None, key: "tags".into(), rule: error.to_string() };
+            let table = table.map_err(|error| ConfigError::faults(path, vec![changed(error)]))?;
+            for tag in table.iter() {
+                let _ = writeln!(printed, "tag.{} = {}", tag.name(), toml_of(tag));
+            }
         }
     }
     Ok(printed)

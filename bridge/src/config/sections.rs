@@ -196,6 +196,21 @@ pub struct FleetSection {
     #[serde(default = "default_weight")]
     #[schemars(range(min = 1, max = 1000))]
     pub weight: u32,
+    /// Where a member has its PLCs and classes from: `file`, this file; `store`, the store of the fleet, where
+    /// `fleet push` puts them.
+    #[serde(default)]
+    pub config: PlantSource,
+}
+
+/// Where a member of a fleet has its PLCs and classes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum PlantSource {
+    /// Its own file.
+    #[default]
+    File,
+    /// The store of the fleet, where `fleet push` puts them.
+    Store,
 }
 
 /// The rule of `bridge.http`.

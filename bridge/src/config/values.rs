@@ -31,6 +31,11 @@ impl Name {
         Self(if is_name(&name) { name } else { "bridge".to_owned() })
     }
 
+    /// A name with an ending of this program. It may be longer than others.
+    pub(crate) fn with_ending(&self, ending: &'static str) -> Self {
+        Self(format!("{}{ending}", self.0))
+    }
+
     /// The text.
     #[must_use]
     pub fn as_str(&self) -> &str {

@@ -40,6 +40,8 @@ const INACTIVE: Duration = Duration::from_secs(60);
 const MAX_MISSING: u64 = 1000;
 /// The header of an entry that is not a value.
 const OPERATION: &str = "KV-Operation";
+/// The versions of a plant that are kept.
+const PLANT_HISTORY: i64 = 16;
 /// The replicas of the store in a cluster.
 const REPLICAS: usize = 3;
 
@@ -213,11 +215,28 @@ fn check(info: &Info) -> Result<(), OpenError> {
     Ok(())
 }
 
+/// The content of a bucket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Content {
+    Leases,
+    Plants,
+}
+
 /// Makes the store, with three replicas in a cluster. A store that exists is left as it is.
 ///
 /// # Errors
 /// [`InitError`] with the error of the server.
 pub async fn init(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Initialized, InitError> {
+    make(section, id, bucket, Content::Leases).await
+}
+
+/// Makes a bucket that does not exist.
+pub(super) async fn make(
+    section: &NatsSection,
+    id: &Name,
+    bucket: &Name,
+    content: Content,
+) -> Result<Initialized, InitError> {
     let fail = |error: String| InitError { bucket: bucket.to_string(), error };
     // The connection must last as long as its context.
     let (connection, context) = connect(section, id).await.map_err(|error| fail(error.to_string()))?;
@@ -228,10 +247,10 @@ pub async fn init(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ini
     }
     let is_cluster = connection.client().server_info().cluster.is_some();
     let replicas = if is_cluster { REPLICAS } else { 1 };
-    let made = match context.create_stream(config(bucket, replicas)).await {
+    let made = match context.create_stream(config(bucket, content, replicas)).await {
         // A server alone can have the name of a cluster.
         Err(error) if replicas > 1 && is_refused_for_replicas(&error.kind()) => {
-            context.create_stream(config(bucket, 1)).await.map(|_| 1)
+            context.create_stream(config(bucket, content, 1)).await.map(|_| 1)
         }
         made => made.map(|_| replicas),
     };
@@ -243,13 +262,17 @@ fn is_refused_for_replicas(kind: &CreateStreamErrorKind) -> bool {
         if error.error_code() == ErrorCode::STREAM_REPLICAS_NOT_SUPPORTED)
 }
 
-/// The stream of a bucket, as clients of NATS make it. It has the last value of each key, without an age.
-fn config(bucket: &Name, replicas: usize) -> Config {
+/// The stream of a bucket, as clients of NATS make it. It has the last values of each key, without an age.
+fn config(bucket: &Name, content: Content, replicas: usize) -> Config {
+    let (description, history) = match content {
+        Content::Leases => ("Leases of a fleet of fatek-bridge", 1),
+        Content::Plants => ("Plant of a fleet of fatek-bridge", PLANT_HISTORY),
+    };
     Config {
         name: stream_name(bucket),
         subjects: vec![format!("{}>", prefix(bucket))],
-        description: Some("Leases of a fleet of fatek-bridge".to_owned()),
-        max_messages_per_subject: 1,
+        description: Some(description.to_owned()),
+        max_messages_per_subject: history,
         max_age: Duration::ZERO,
         storage: StorageType::File,
         discard: DiscardPolicy::New,
@@ -265,6 +288,11 @@ fn config(bucket: &Name, replicas: usize) -> Config {
 impl Bucket {
     pub(super) fn store(&self) -> Store {
         self.store.clone()
+    }
+
+    /// The bytes that a message can have.
+    pub(super) fn max_payload(&self) -> usize {
+        self.connection.client().server_info().max_payload
     }
 
     /// Waits until the connection is lost, and returns why. Cancel-safe.

@@ -3,7 +3,7 @@
 use super::outputs::Outputs;
 use super::{AddError, Bridge, fleet};
 use crate::command::Commands;
-use crate::config::{Config, ConfigError, FleetSection};
+use crate::config::{Config, ConfigError, FleetSection, StoredPlant};
 use crate::output::OutputKind;
 use crate::registry::Share;
 
@@ -28,7 +28,7 @@ pub enum ReloadError {
 /// # Errors
 /// [`ReloadError`], which is in the log, too.
 pub(super) async fn reload(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
-    let result = apply(bridge, outputs).await;
+    let result = apply(bridge, outputs, Config::reload).await;
     if let Err(error) = &result {
         tracing::error!("the configuration was not reloaded, and nothing has changed");
         error.to_string().lines().for_each(|line| tracing::error!("{line}"));
@@ -36,7 +36,20 @@ pub(super) async fn reload(bridge: &Bridge, outputs: &mut Outputs) -> Result<(),
     result
 }
 
-async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError> {
+/// Applies the difference to a plant of the store of the fleet. A fault changes nothing.
+///
+/// # Errors
+/// [`ReloadError`].
+pub(super) async fn take_plant(bridge: &Bridge, outputs: &mut Outputs, plant: StoredPlant) -> Result<(), ReloadError> {
+    apply(bridge, outputs, move |config| config.with_plant(plant)).await
+}
+
+/// Applies the difference to a configuration that is made of the present one. `make` may block.
+async fn apply(
+    bridge: &Bridge,
+    outputs: &mut Outputs,
+    make: impl FnOnce(&Config) -> Result<Config, ConfigError> + Send + 'static,
+) -> Result<(), ReloadError> {
     // The share of a member of a fleet is of one configuration.
     let _changing = bridge.changing.lock().await;
     let old = bridge.config();
@@ -46,7 +59,7 @@ async fn apply(bridge: &Bridge, outputs: &mut Outputs) -> Result<(), ReloadError
     // Files are read and thousands of tags planned: that blocks.
     let applied = tokio::task::spawn_blocking(move || {
         let _runtime = runtime.enter();
-        let mut config = old.reload()?;
+        let mut config = make(&old)?;
         let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
         // No output writes a tag that its new section does not let it write, or its old one.
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));

@@ -1,9 +1,11 @@
 //! Arguments and help texts of `fleet`.
 
+use std::time::Duration;
+
 use clap::{Args, Subcommand, ValueHint};
 use fatek_bridge::config::{Environment, Name};
 
-use crate::cli::args::name;
+use crate::cli::args::{name, time};
 
 /// Make, show and change a fleet: bridges that share the PLCs
 ///
@@ -14,7 +16,8 @@ use crate::cli::args::name;
   fatek-bridge fleet init plant.toml
   fatek-bridge run plant.toml --id hall-1
   fatek-bridge fleet status plant.toml
-  fatek-bridge fleet drain plant.toml hall-1")]
+  fatek-bridge fleet drain plant.toml hall-1
+  fatek-bridge fleet push plant.toml")]
 pub(in crate::cli) struct FleetArgs {
     #[command(subcommand)]
     pub(in crate::cli) command: FleetCommand,
@@ -24,14 +27,15 @@ pub(in crate::cli) struct FleetArgs {
 pub(in crate::cli) enum FleetCommand {
     /// Make the store of a fleet, once
     ///
-    /// Three replicas in a cluster, else one. A store that is there is left as it is. No member ever makes it: one
-    /// that was deleted must not come back unnoticed.
+    /// Two buckets: the leases, and the plant for fleet push. Three replicas in a cluster, else one. A store that is
+    /// there is left as it is. No member ever makes it: one that was deleted must not come back unnoticed.
     #[command(after_help = "Examples:
   fatek-bridge fleet init plant.toml")]
     Init(PlantArgs),
     Status(StatusArgs),
     Drain(DrainArgs),
     Move(MoveArgs),
+    Push(PushArgs),
 }
 
 /// The configuration of a fleet.
@@ -63,10 +67,11 @@ impl PlantArgs {
   fatek-bridge fleet status plant.toml --json
   watch -n 2 fatek-bridge fleet status plant.toml
 
-JSON: object with fleet, bucket, replicas and config, the hash of FILE; members,
-each with member, state (active, draining, silent), version, config, weight,
-links, lease_ms and silent_for_ms; links, each with link, owner, rev (the
-token), owned_for_ms, target and moved; drained; counts; and warnings.
+JSON: object with fleet, bucket, replicas; config, the hash of FILE or of the
+plant in the store, and version, that of the plant in the store; members, each
+with member, state (active, draining, silent), version, config, weight, links,
+lease_ms and silent_for_ms; links, each with link, owner, rev (the token),
+owned_for_ms, target and moved; drained; counts; and warnings.
 
 Exit status: 0, also with warnings; 1 if the store does not answer.")]
 pub(in crate::cli) struct StatusArgs {
@@ -116,4 +121,27 @@ pub(in crate::cli) struct MoveArgs {
     /// Let it be where the others would have it
     #[arg(long)]
     pub(in crate::cli) undo: bool,
+}
+
+/// Give the PLCs and classes of a file to all members, by the store
+///
+/// For members with fleet.config = "store". The file is checked as check does, and stored as a new version: its
+/// sections class, template, plc and bus, with the tables of tags. Each member loads it as SIGHUP would. If one
+/// refuses it or does not load it in time, the former plant is stored again.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  fatek-bridge fleet push plant.toml
+  fatek-bridge fleet push plant.toml --timeout 1m --no-rollback
+
+Exit status: 0, all living members have loaded it; 1, it was rolled back, or the
+store does not answer; 2, faults of the file.")]
+pub(in crate::cli) struct PushArgs {
+    #[command(flatten)]
+    pub(in crate::cli) plant: PlantArgs,
+    /// Time for the members to load it
+    #[arg(long, value_name = "TIME", default_value = "30s", value_parser = time)]
+    pub(in crate::cli) timeout: Duration,
+    /// Leave it in the store, also if a member refuses it
+    #[arg(long)]
+    pub(in crate::cli) no_rollback: bool,
 }

@@ -43,11 +43,19 @@ impl Report<'_> {
             *processes.entry(&member.id).or_default() += 1;
             if member.config != own {
                 let (other, own) = (short(&member.config), short(&own));
-                warnings.push(format!("{} has the configuration {other}, and this file is {own}", member.id));
+                let what = if self.plant.config.stored.is_some() { "the plant in the store" } else { "this file" };
+                warnings.push(format!("{} has the configuration {other}, and {what} is {own}", member.id));
             }
         }
         for (member, count) in processes.into_iter().filter(|(_, count)| *count > 1) {
             warnings.push(format!("{count} processes run, or have just run, under the id {member}"));
+        }
+        for (member, why) in &self.plant.refusals {
+            let why = why.lines().next().unwrap_or_default();
+            warnings.push(format!("{member} refuses the plant in the store: {why}"));
+        }
+        if self.plant.config.has_stored_plant() && self.plant.config.stored.is_none() {
+            warnings.push("the store has no plant yet: fatek-bridge fleet push puts it there".to_owned());
         }
         if alive().next().is_none() {
             warnings.push("no member runs".to_owned());
@@ -77,11 +85,12 @@ impl Report<'_> {
             })
         };
         let Plant { config, fleet, .. } = self.plant;
+        let version = config.stored.as_ref().and_then(|stored| stored.version);
         let Observation { replicas, members, links, drained, .. } = self.seen;
         let without_owner = links.iter().filter(|link| link.owner.is_none()).count();
         json!({
             "fleet": fleet.id.as_str(), "bucket": fleet.bucket.as_str(), "replicas": replicas,
-            "config": config_hash(config),
+            "config": config_hash(config), "version": version,
             "members": members.iter().map(member).collect::<Vec<_>>(),
             "links": links.iter().map(link).collect::<Vec<_>>(),
             "drained": drained,
@@ -97,6 +106,10 @@ impl fmt::Display for Report<'_> {
         writeln!(f, "{}", member_table(members))?;
         let names = PlantLinks::of(&self.plant.config.plant);
         writeln!(f, "{}", link_table(links, moved, &names))?;
+        if let Some(stored) = &self.plant.config.stored {
+            let (name, hash) = (stored.name(), config_hash(&self.plant.config));
+            writeln!(f, "{}: configuration {}", name.display(), short(&hash))?;
+        }
         for member in drained.iter().filter(|id| !members.iter().any(|member| *member.id == ***id)) {
             writeln!(f, "{member} gets no links when it is started: fleet drain --undo ends that")?;
         }
@@ -186,7 +199,7 @@ mod tests {
         let text = "[fleet]\nid = 'a'\n[nats]\nurl = 'nats://h'\n[plc.mixer]\nlink = 'tcp://h'\nstation = 1\n";
         let config = Config::from_text(Path::new("plant.toml"), text, &Environment::default()).unwrap();
         let (fleet, nats) = (config.fleet.clone().unwrap(), config.nats.clone().unwrap());
-        let plant = Plant { config, fleet, nats };
+        let plant = Plant { config, fleet, nats, refusals: BTreeMap::new() };
         let long = "x".repeat(64);
         let member = |id: &str, config: &str, silent_for| MemberStatus {
             id: id.into(),
