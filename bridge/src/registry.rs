@@ -248,6 +248,12 @@ impl Registry {
         registry.generation = registry.generation.saturating_add(1);
     }
 
+    /// No member is left: all PLCs that this bridge does not poll are without one.
+    pub fn lose_all(&self) {
+        let mut registry = self.plcs.write().unwrap_or_else(PoisonError::into_inner);
+        registry.elsewhere.values_mut().for_each(|elsewhere| *elsewhere = Elsewhere::Lost);
+    }
+
     /// Forgets of those PLCs that they were lost which another member has.
     pub fn settle(&self, has_member: impl Fn(&str) -> bool) {
         let mut registry = self.plcs.write().unwrap_or_else(PoisonError::into_inner);

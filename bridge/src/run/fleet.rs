@@ -25,8 +25,8 @@ use tokio::time::{Instant, sleep_until, timeout};
 use super::{Bridge, RunError, Signals};
 use crate::config::{Config, Name};
 use crate::fleet::{
-    Closing, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, FleetTask, Gate, LinkToken, Ownership,
-    PlantLinks, Reach, link_id, member,
+    Closing, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, FleetTask, Gate, LinkToken, MemberStatus,
+    Ownership, PlantLinks, Reach, link_id, member,
 };
 use crate::registry::{AddError, Elsewhere, PlcOwnership, Registry, Share};
 
@@ -384,7 +384,15 @@ pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetT
     tokio::select! {
         left = left => {
             match left {
-                Ok(Ok(Ok(()))) => {}
+                Ok(Ok(Ok(()))) => {
+                    let (status, config) = (membership.status(), bridge.config());
+                    let lease = config.fleet.as_ref().map_or(Duration::MAX, |fleet| fleet.lease.0);
+                    // A server that was killed may have lost that another member has left: that one is silent.
+                    let is_other = |member: &MemberStatus| member.id != status.id && member.silent_for < lease;
+                    if !status.members.iter().any(is_other) {
+                        bridge.registry.lose_all();
+                    }
+                }
                 Ok(Ok(Err(error))) => tracing::error!("fleet: {error}"),
                 Ok(Err(_)) => tracing::error!("the fleet has failed: this is a fault of the bridge"),
                 Err(_) => tracing::warn!("the fleet was not left within {limit:?}: its links are free after the lease"),
