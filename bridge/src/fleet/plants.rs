@@ -6,8 +6,10 @@
 //! | `r.<member>` | a [`Refusal`]: the last version that a member has refused, and why |
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
 
 use super::bucket::{self, Bucket, Content, Entry, InitError, Initialized, OpenError, Opened, Seen, Watch};
 use super::core::{Operation, Outcome};
@@ -18,6 +20,8 @@ use crate::config::{Name, NatsSection, StoredPlant};
 const ENDING: &str = "_config";
 const PLANT: &str = "plant";
 const REFUSAL: &str = "r.";
+/// The time between two reads of the plant besides the watch.
+const REREAD: Duration = Duration::from_secs(5);
 /// The characters of a reason that are stored.
 const REASON: usize = 2000;
 
@@ -38,6 +42,8 @@ pub struct PlantStore {
     /// The revision of the key, also without a plant; 0: it has never had a value.
     revision: u64,
     refusals: BTreeMap<String, Refusal>,
+    /// The plant is read again then.
+    reread_at: Instant,
 }
 
 impl std::fmt::Debug for PlantStore {
@@ -101,7 +107,14 @@ impl PlantStore {
     /// [`PlantStoreError`] if there is none, or if it does not answer.
     pub async fn open(nats: &NatsSection, id: &Name, bucket: &Name) -> Result<Self, PlantStoreError> {
         let Opened { bucket, watch, .. } = bucket::open(nats, id, &bucket.with_ending(ENDING)).await?;
-        let mut store = Self { bucket, watch, current: None, revision: 0, refusals: BTreeMap::new() };
+        let mut store = Self {
+            bucket,
+            watch,
+            current: None,
+            revision: 0,
+            refusals: BTreeMap::new(),
+            reread_at: Instant::now() + REREAD,
+        };
         tokio::time::timeout(PATIENCE, store.read()).await.unwrap_or_else(|_| Err(no_answer()))?;
         Ok(store)
     }
@@ -118,7 +131,7 @@ impl PlantStore {
         of_current.map(|(member, refusal)| (member.as_str(), refusal.why.as_str()))
     }
 
-    /// Waits for a change, of the plant or of refusals. Cancel-safe.
+    /// Waits for a change, of the plant or of refusals, for 5 s at most. Cancel-safe.
     ///
     /// # Errors
     /// [`PlantStoreError`] when the store is lost: changes may be missing.
@@ -127,10 +140,28 @@ impl PlantStore {
         let seen = tokio::select! {
             why = bucket.lost() => Err(why),
             seen = watch.next() => seen,
+            () = tokio::time::sleep_until(self.reread_at) => return self.reread().await,
         };
         match seen.map_err(PlantStoreError::Other)? {
             Seen::Entry(entry) => self.take(entry),
             Seen::Complete => {}
+        }
+        Ok(())
+    }
+
+    /// Reads the plant: a watch of nats-server 2.9 can lack entries.
+    async fn reread(&mut self) -> Result<(), PlantStoreError> {
+        let get = self.bucket.store().perform(Operation::Get { key: PLANT.to_owned() });
+        let found = tokio::time::timeout(PATIENCE, get).await.unwrap_or(Outcome::Unknown);
+        self.reread_at = Instant::now() + REREAD;
+        match found {
+            Outcome::Found { value, revision } if revision > self.revision => {
+                self.take(Entry { key: PLANT.to_owned(), value, revision, stored_at: 0 });
+            }
+            Outcome::Found { .. } | Outcome::Missing => {}
+            Outcome::Stored(_) | Outcome::WrongRevision | Outcome::Purged | Outcome::Unknown => {
+                return Err(no_answer().into());
+            }
         }
         Ok(())
     }
@@ -154,6 +185,10 @@ impl PlantStore {
         let Entry { key, value, revision, .. } = entry;
         let value = value.filter(|value| !value.is_empty());
         if key == PLANT {
+            if revision < self.revision {
+                // It was read before the watch delivered it.
+                return;
+            }
             self.revision = revision;
             self.current = value.map(|text| StoredPlant { version: Some(revision), text: text.into() });
         } else if let Some(member) = key.strip_prefix(REFUSAL) {
