@@ -93,14 +93,6 @@ pub struct Place {
     pub gate: Gate,
 }
 
-impl PartialEq for Place {
-    fn eq(&self, other: &Self) -> bool {
-        (&self.plc, &self.tag, self.index, self.revision) == (&other.plc, &other.tag, other.index, other.revision)
-    }
-}
-
-impl Eq for Place {}
-
 /// All PLCs that are polled. Cheap to clone.
 #[derive(Clone, Debug, Default)]
 pub struct Registry {

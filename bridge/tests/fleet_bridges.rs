@@ -226,9 +226,9 @@ async fn bridges_pause_without_the_store_and_stop_when_it_was_deleted() {
     for bridge in &bridges {
         bridge.wait_for_log("the store did not answer in time");
     }
-    std::thread::sleep(LEASE / 4);
+    tokio::time::sleep(LEASE / 4).await;
     fleet.forget();
-    std::thread::sleep(LEASE);
+    tokio::time::sleep(LEASE).await;
     assert_eq!(fleet.lines.1.try_recv().map(|line| line.batch).ok(), None, "no PLC is polled");
     fleet.nats.run();
     check_order(&fleet.shared_by(&["hall-1", "hall-2"]));
@@ -369,7 +369,7 @@ async fn a_plc_with_another_name_has_the_same_master() {
     };
     reload(other);
     fleet.forget();
-    std::thread::sleep(LEASE * 2);
+    tokio::time::sleep(LEASE * 2).await;
     let lines: Vec<Line> = fleet.lines.1.try_iter().collect();
     assert!(lines.iter().all(|line| line.plc() != "kettle"), "{other} polls it");
     assert!(lines.iter().any(|line| line.plc() == plc && line.bridge == *owner));

@@ -4,6 +4,8 @@ use fatek::poll::PollerHandle;
 use fatek::sim::{Plc, Server};
 
 use super::*;
+use crate::fleet::Gate;
+use crate::registry::{PlcOwnership, Share};
 
 struct Bench {
     server: Server,
@@ -76,4 +78,29 @@ async fn batches_of_the_registry_reach_the_buffer() {
     assert_eq!(&first[0].batch.data[..], br#"{"level":0}"#);
     let second = timeout(Duration::from_secs(20), cursor.next(1)).await.unwrap();
     assert_eq!(second[0].batch.seq, first[0].batch.seq + 1);
+}
+
+/// Without the question to the gate, the batch of a reply that had waited in the socket was delivered: its time was
+/// later than that of values of the next owner.
+#[tokio::test(flavor = "multi_thread")]
+async fn samples_behind_a_closed_gate_are_dropped() {
+    let bench = Bench::start().await;
+    let address = bench.server.local_addr();
+    let plant = format!(
+        "[class]\nall = {{ every = '50ms' }}\n[plc.mixer]\nlink = 'tcp://{address}'\nstation = 1\n\
+         tag.level = {{ at = 'R5:i16', class = 'all' }}\n"
+    );
+    let owned = |revision, gate| [("mixer".into(), PlcOwnership { revision, gate })].into();
+    let plant = Plant::from_toml(&plant).unwrap();
+    let polled = |bench: &Bench| bench.poller.stats().samples;
+    bench.registry.apply_share(&plant, Share::Owned(&owned(7, Gate::closed())), &bench.pool, &bench.poller).unwrap();
+    while polled(&bench) < 5 {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    let mut cursor = bench.buffer.cursor(0);
+    assert!(timeout(Duration::from_millis(500), cursor.next(1)).await.is_err(), "a batch behind a closed gate");
+    let owned = owned(9, Gate::always_open());
+    bench.registry.apply_share(&plant, Share::Owned(&owned), &bench.pool, &bench.poller).unwrap();
+    let entries = timeout(Duration::from_secs(20), cursor.next(1)).await.expect("the next ownership is delivered");
+    assert_eq!(entries[0].batch.revision, 9);
 }

@@ -39,6 +39,12 @@ impl Gate {
         Self(None)
     }
 
+    /// A gate that is closed for ever.
+    #[cfg(test)]
+    pub(crate) fn closed() -> Self {
+        Deadline::default().gate()
+    }
+
     /// Returns whether a request may be written now. Asked before each write; the answer is void afterwards.
     #[must_use]
     pub fn is_open(&self) -> bool {

@@ -162,3 +162,13 @@ async fn a_batch_of_an_earlier_ownership_is_history() {
     registry.give_up([(&mixer, Elsewhere::Member)]);
     assert!(registry.is_former(&batch("mixer", 7)), "another member may have newer values");
 }
+
+/// Without it, a reload that was still in its thread polled again what the bridge had given away.
+#[tokio::test]
+async fn a_bridge_that_gives_its_plcs_away_takes_no_other_configuration() {
+    let parts = registry();
+    parts.0.freeze();
+    let error = apply(&parts, "[plc.boiler]", "[plc.kettle]").unwrap_err();
+    assert_eq!(error.to_string(), "plc any: the bridge is stopping");
+    assert!(parts.0.read().get("boiler").is_some() && parts.0.read().get("kettle").is_none());
+}
