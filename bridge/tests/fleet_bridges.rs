@@ -353,7 +353,8 @@ async fn states_at_the_broker_are_those_of_the_owner() {
     until(&mut all, "all are offline", &BTreeSet::new(), 2 * PLCS).await;
 }
 
-/// While links had the names of their PLCs, hall-1 took the renamed one at once, and the PLC had two masters.
+/// While links had the names of their PLCs, the other member took the renamed one at once, and the PLC had two masters:
+/// this test gave `hall-1 polls it`.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_plc_with_another_name_has_the_same_master() {
     let Some(fleet) = Fleet::new().await else { return };

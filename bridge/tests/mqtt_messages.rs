@@ -9,6 +9,7 @@ use common::mqtt_output::{Output, PolledPlant};
 use fatek::Value as PlcValue;
 use fatek::{element, register};
 use fatek_bridge::batch::milliseconds;
+use fatek_bridge::registry::Elsewhere;
 use rumqttc::v5::mqttbytes::v5::PublishProperties;
 use serde_json::{Value, json};
 use tokio::time::sleep;
@@ -82,6 +83,19 @@ async fn the_state_of_a_plc_is_sent_on_change_and_at_each_connection() {
         topics.iter().all(|topic| of_topic(broker, topic).iter().any(|one| one.connection == last && one.retain))
     };
     broker.wait_for("states", sent_again).await;
+    output.stop().await;
+}
+
+/// A member of a fleet that has lost a PLC while the broker was away, too. While all messages were queued after the
+/// refresh, that dropped the state again: the broker kept the one before for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_plc_without_a_member_is_offline_at_a_new_connection() {
+    let broker = Broker::start().await;
+    broker.retain("fatek/hall-2/mixer/state", r#"{"online":true}"#);
+    let plant = PolledPlant::start(PLANT).await;
+    plant.registry.give_up([(&"mixer".into(), Elsewhere::Lost)]);
+    let output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
+    broker.wait_for("offline", |broker| is_online(broker, "mixer") == Some(false)).await;
     output.stop().await;
 }
 

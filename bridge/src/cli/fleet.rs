@@ -170,5 +170,5 @@ fn no_link(link: &Name, names: &[&str]) -> String {
 
 /// Returns whether a member has a living session.
 fn lives(seen: &Observation, member: &Name) -> bool {
-    seen.members.iter().any(|other| *other.id == *member.as_str() && !status::is_silent(other))
+    seen.members.iter().any(|other| *other.id == *member.as_str() && !other.is_silent())
 }

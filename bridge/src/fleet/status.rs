@@ -63,6 +63,14 @@ pub struct MemberStatus {
     pub links: usize,
 }
 
+impl MemberStatus {
+    /// Returns whether its last sign of life is older than its lease: it is fenced within another one.
+    #[must_use]
+    pub fn is_silent(&self) -> bool {
+        self.silent_for > self.lease
+    }
+}
+
 /// A link of the configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkStatus {

@@ -385,10 +385,9 @@ pub(super) async fn leave(bridge: &Bridge, membership: &Membership, task: FleetT
         left = left => {
             match left {
                 Ok(Ok(Ok(()))) => {
-                    let (status, config) = (membership.status(), bridge.config());
-                    let lease = config.fleet.as_ref().map_or(Duration::MAX, |fleet| fleet.lease.0);
+                    let status = membership.status();
                     // A server that was killed may have lost that another member has left: that one is silent.
-                    let is_other = |member: &MemberStatus| member.id != status.id && member.silent_for < lease;
+                    let is_other = |member: &MemberStatus| member.id != status.id && !member.is_silent();
                     if !status.members.iter().any(is_other) {
                         bridge.registry.lose_all();
                     }

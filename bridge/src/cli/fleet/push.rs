@@ -10,7 +10,6 @@ use fatek_bridge::fleet::{Observer, OrderError, PlantStore, PlantStoreError, con
 use tokio::time::sleep;
 
 use super::args::PushArgs;
-use super::status::is_silent;
 use super::{Plant, Refusal};
 use crate::cli::{STATUS_FAILED, STATUS_USAGE, print};
 
@@ -110,7 +109,7 @@ impl Members {
 
     fn look(&mut self) {
         let now = Instant::now();
-        for member in self.observer.observation().members.iter().filter(|member| !is_silent(member)) {
+        for member in self.observer.observation().members.iter().filter(|member| !member.is_silent()) {
             self.seen.insert(member.id.to_string(), (member.config.clone(), now));
         }
         self.seen.retain(|_, (_, at)| now.duration_since(*at) < self.patience);

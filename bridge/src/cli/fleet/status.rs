@@ -19,13 +19,8 @@ pub(super) struct Report<'r> {
     pub(super) seen: &'r Observation,
 }
 
-/// Returns whether the last sign of life of a member is older than its lease: it is fenced within another one.
-pub(super) fn is_silent(member: &MemberStatus) -> bool {
-    member.silent_for > member.lease
-}
-
 fn state(member: &MemberStatus) -> &'static str {
-    match (is_silent(member), member.is_draining) {
+    match (member.is_silent(), member.is_draining) {
         (true, _) => "silent",
         (false, true) => "draining",
         (false, false) => "active",
@@ -38,7 +33,7 @@ impl Report<'_> {
         let own = config_hash(&self.plant.config);
         let mut warnings = Vec::new();
         let mut processes: BTreeMap<&str, usize> = BTreeMap::new();
-        let alive = || self.seen.members.iter().filter(|member| !is_silent(member));
+        let alive = || self.seen.members.iter().filter(|member| !member.is_silent());
         for member in alive() {
             *processes.entry(&member.id).or_default() += 1;
             if member.config != own {
@@ -79,8 +74,8 @@ impl Report<'_> {
         let names = PlantLinks::of(&self.plant.config.plant);
         let link = |link: &LinkStatus| {
             json!({
-                "link": names.name_of(&link.link), "id": &*link.link, "owner": link.owner.as_deref(), "rev": link.token.revision,
-                "owned_for_ms": milliseconds(link.owned_for), "target": link.target.as_deref(),
+                "link": names.name_of(&link.link), "id": &*link.link, "owner": link.owner.as_deref(),
+                "rev": link.token.revision, "owned_for_ms": milliseconds(link.owned_for), "target": link.target.as_deref(),
                 "moved": moved.get(&*link.link),
             })
         };
