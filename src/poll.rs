@@ -24,7 +24,9 @@
 //!
 //! - **Scheduling.** Each station has a task of its own. A [`Plan`](crate::plan::Plan) reads all
 //!   tags of one [`ScanClass`] together, once a period. The phase is random unless the class sets
-//!   it. One request per station is in flight at a time, and calls of other users take precedence
+//!   it. Without a set phase, tags are first read within milliseconds, at most 5000 classes a
+//!   second; tags that are added to a polled class within a second. One request per station is in
+//!   flight at a time, and calls of other users take precedence
 //!   ([`CallOptions::with_background`](crate::CallOptions::with_background)).
 //! - **Overruns.** A cycle that falls due while the previous one is running is skipped and counted
 //!   in [`Counters::overruns`].
@@ -63,6 +65,7 @@ mod plan_cache;
 mod polled_struct;
 mod queue;
 mod sample;
+mod schedule;
 mod shared;
 mod station_poller;
 mod stats;
@@ -200,7 +203,8 @@ impl PollerHandle {
         let cost = cost.unwrap_or_else(|| CostModel::of_station(station));
         let seed = lock(&shared.random).next();
         let params = StationParams { station: station.number(), retries: station.options().retries };
-        let poller = StationPoller::new(params, (limits, cost), shared.epoch, seed, shared.plan_cache.clone());
+        let poller =
+            StationPoller::new(params, (limits, cost), shared.schedule.clone(), seed, shared.plan_cache.clone());
         let station = Arc::new(StationShared {
             handle: station.with_options(station.options().with_background(true)),
             poller: Mutex::new(Some(poller)),

@@ -69,12 +69,12 @@ struct Arrival {
 #[tokio::main]
 async fn main() -> Result<()> {
     let args = Args::parse();
-    if args.serve { serve(args.plcs).await } else { measure(args).await }
+    if args.serve { serve(args.plcs, 0).await } else { measure(args).await }
 }
 
 async fn measure(args: Args) -> Result<()> {
     let folder = tempfile::tempdir()?;
-    let (_plcs, addresses) = start_plcs(args.plcs)?;
+    let (_plcs, addresses) = start_plcs(args.plcs, 0)?;
     let port = free_port()?;
     let _server = start_output(args.output, port, folder.path())?;
     let config = folder.path().join("plant.toml");

@@ -28,8 +28,8 @@ use std::io;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
-use fatek::Pool;
 use fatek::poll::{Poller, PollerHandle};
+use fatek::{Pool, PoolBuilder};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
@@ -43,7 +43,7 @@ use crate::availability;
 use crate::buffer::{Buffer, BufferError, BufferSettings};
 use crate::collect::Collector;
 use crate::command::{Commands, NoFolder};
-use crate::config::Config;
+use crate::config::{BridgeSection, Config};
 use crate::file_limit;
 use crate::fleet::FleetError;
 use crate::http::{self, BindError};
@@ -152,6 +152,16 @@ impl Signals {
     }
 }
 
+/// The connections to the PLCs of a configuration.
+fn connections(bridge: &BridgeSection) -> PoolBuilder {
+    // The configuration is the limit of the PLCs. Those that do not answer keep no others waiting: there may be as many
+    // attempts at once as are begun until one is given up.
+    let per_second = bridge.connects_per_second;
+    let seconds = fatek::link::defaults::CONNECT_TIMEOUT.as_secs().saturating_add(1);
+    let at_once = usize::try_from(u64::from(per_second).saturating_mul(seconds)).unwrap_or(usize::MAX);
+    Pool::builder().max_endpoints(usize::MAX).connects_per_second(per_second).connects_at_once(at_once)
+}
+
 /// Runs until SIGINT or SIGTERM, and then delivers what is in the buffer, for a limited time.
 ///
 /// # Errors
@@ -168,14 +178,15 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     let buffer = open_buffer(&config).await?;
     let owned = OwnedLinks::new(config.bridge.id.clone());
     let is_member = config.fleet.is_some();
-    let (registry, pool) = (Registry::default(), if is_member { owned.pool() } else { Pool::new() });
+    let connections = connections(&config.bridge);
+    let (registry, pool) = (Registry::default(), if is_member { owned.pool(connections) } else { connections.build() });
     let listener = http::bind(config.bridge.http)?;
     // Before the commands: a pulse that an earlier run has not ended needs its PLC.
     let none = HashMap::new();
     let share = if is_member { Share::Owned(&none) } else { Share::All };
     let changes = registry.apply_share(&config.plant, share, &pool, &poller.handle())?;
     let joined = if is_member {
-        fleet::check(&config.plant, &config.bridge.id)?;
+        fleet::check(&config.plant, &config.bridge)?;
         fleet::join(&config, owned)?
     } else {
         None

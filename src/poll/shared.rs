@@ -4,11 +4,11 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use tokio::sync::Notify;
-use tokio::time::Instant;
 use tokio_util::task::TaskTracker;
 
 use super::plan_cache::PlanCache;
 use super::queue::SampleQueue;
+use super::schedule::Schedule;
 use super::station_poller::StationPoller;
 use super::{Counters, Sample, Stamp};
 use crate::plan::Limits;
@@ -21,8 +21,7 @@ pub(super) struct PollerShared {
     pub(super) tasks: TaskTracker,
     pub(super) next_id: AtomicU64,
     pub(super) random: Mutex<Random>,
-    /// The phase of a [`ScanClass`](super::ScanClass) counts from here.
-    pub(super) epoch: Instant,
+    pub(super) schedule: Arc<Schedule>,
     pub(super) plan_cache: Arc<PlanCache>,
     /// The limits of the protocol.
     pub(super) limits: Arc<Limits>,

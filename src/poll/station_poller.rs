@@ -27,6 +27,7 @@ use super::context::{StationContext, StationParams};
 use super::cycle::{Cycle, CycleContext, CycleStart, CycleStep};
 use super::latency::LatencyEstimator;
 use super::plan_cache::PlanCache;
+use super::schedule::Schedule;
 use super::stats::{ClassStats, Counters};
 use super::tag_state::TagState;
 use super::{PollError, Reason, Sample, Stamp, TagId};
@@ -45,7 +46,7 @@ pub(super) struct StationPoller {
     /// The index of the class whose request or check is in flight.
     active: Option<usize>,
     random: Random,
-    epoch: Instant,
+    schedule: Arc<Schedule>,
     next_group: u64,
     /// The number of values of all tags.
     values: usize,
@@ -83,7 +84,7 @@ impl StationPoller {
     pub(super) fn new(
         params: StationParams,
         (limits, cost): (Arc<Limits>, CostModel),
-        epoch: Instant,
+        schedule: Arc<Schedule>,
         seed: u64,
         plan_cache: Arc<PlanCache>,
     ) -> Self {
@@ -93,7 +94,7 @@ impl StationPoller {
             retired: None,
             active: None,
             random: Random::new(seed),
-            epoch,
+            schedule,
             next_group: 0,
             values: 0,
         }
@@ -127,7 +128,7 @@ impl StationPoller {
         let index = match self.classes.iter().position(|class| class.scan == scan) {
             Some(index) => index,
             None => {
-                let due = self.first_due(&scan, now.instant);
+                let due = self.schedule.first_due(&scan, now.instant, self.random.next());
                 // Exact, because most of thousands of stations have one class.
                 self.classes.reserve_exact(1);
                 self.classes.push(ClassState::new(scan, due));
@@ -140,6 +141,7 @@ impl StationPoller {
             }
             class.members.extend(tags.iter().map(|(id, _)| *id));
             class.plan = None;
+            class.read_early(&self.schedule, now.instant);
         }
         self.context.tag_map.extend(tags.into_iter().map(|(id, tag)| TagState::new(id, tag, group, now)));
         Ok(())
@@ -243,7 +245,7 @@ impl StationPoller {
                 CycleStep::Confirm => PollStep::Confirm,
             };
         }
-        PollStep::Wait(self.classes.iter().map(|class| class.due).chain(self.next_aging()).min())
+        PollStep::Wait(self.classes.iter().map(ClassState::next_due).chain(self.next_aging()).min())
     }
 
     /// Handles the outcome of the request that [`next_step`](Self::next_step) returned.
@@ -332,33 +334,10 @@ impl StationPoller {
         classes.for_each(|class| class.age(now, &mut self.context.tag_map, samples));
     }
 
-    fn first_due(&mut self, scan: &ScanClass, now: Instant) -> Instant {
-        let period = scan.period.as_nanos().max(1);
-        let nanoseconds = |n: u128| Duration::from_nanos(u64::try_from(n).unwrap_or(u64::MAX));
-        match scan.phase {
-            None => {
-                let phase = u128::from(self.random.next()).checked_rem(period).unwrap_or(0);
-                now.checked_add(nanoseconds(phase)).unwrap_or(now)
-            }
-            Some(phase) => {
-                // The first due time that has not passed.
-                let phase = phase.as_nanos().checked_rem(period).unwrap_or(0);
-                let since = now.saturating_duration_since(self.epoch).as_nanos();
-                let cycles = since.saturating_sub(phase).div_ceil(period);
-                let due = self.epoch.checked_add(nanoseconds(cycles.saturating_mul(period).saturating_add(phase)));
-                due.unwrap_or(now)
-            }
-        }
-    }
-
     /// Begins a cycle of a class if it is due.
     fn begin(&mut self, index: usize, now: Stamp, samples: &mut Vec<Sample>) {
         let Some(class) = self.classes.get_mut(index) else { return };
-        if class.cycle.is_some() || class.due > now.instant {
-            return;
-        }
-        // More than one due time has passed only if the task was not woken in time.
-        let due = class.skip_to(now.instant);
+        let Some(due) = class.begin(now.instant) else { return };
         // A single request for nothing but the tags is optimal at any cost.
         let can_improve = |plan: &ClassPlan| !matches!(plan.plans.as_slice(), [plan] if plan.is_tight());
         let is_old =

@@ -4,13 +4,14 @@
 
 use std::error::Error;
 use std::io::{BufRead as _, BufReader};
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use fatek::register;
 use fatek::sim::{Model, Plc};
+use tokio::net::{TcpSocket, TcpStream};
 
 pub type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
@@ -24,16 +25,27 @@ impl Drop for Process {
     }
 }
 
-/// Serves the PLCs and prints their addresses, one a line.
-pub async fn serve(count: usize) -> Result<()> {
+/// Serves PLCs and prints their addresses, one a line. Nothing answers at the last ones, not even to connect.
+pub async fn serve(count: usize, dead: usize) -> Result<()> {
     let mut servers = Vec::new();
     let mut plcs = Vec::new();
-    for _ in 0..count {
+    for _ in dead..count {
         let plc = Plc::with_model(Model::largest());
         let server = plc.serve("127.0.0.1:0").await?;
         println!("{}", server.local_addr());
         servers.push(server);
         plcs.push(plc);
+    }
+    let mut silent = Vec::new();
+    for _ in 0..dead.min(count) {
+        let socket = TcpSocket::new_v4()?;
+        socket.bind(SocketAddr::from(([127, 0, 0, 1], 0)))?;
+        let listener = socket.listen(1)?;
+        let address = listener.local_addr()?;
+        // They fill its queue, and the system drops all further attempts.
+        let first = [(); 4].map(|()| tokio::spawn(TcpStream::connect(address)));
+        println!("{address}");
+        silent.push((listener, first));
     }
     for count in 0_u16.. {
         tokio::time::sleep(Duration::from_millis(50)).await;
@@ -45,9 +57,12 @@ pub async fn serve(count: usize) -> Result<()> {
 }
 
 /// Serves simulated PLCs in a process of their own, as [`serve`] does. Returns it with their addresses.
-pub fn start_plcs(count: usize) -> Result<(Process, Vec<String>)> {
+pub fn start_plcs(count: usize, dead: usize) -> Result<(Process, Vec<String>)> {
     let mut command = Command::new(std::env::current_exe()?);
     command.args(["--serve", "--plcs", &count.to_string()]).stdout(Stdio::piped());
+    if dead > 0 {
+        command.args(["--dead", &dead.to_string()]);
+    }
     let mut plcs = Process(command.spawn()?);
     let stdout = plcs.0.stdout.take().ok_or("no stdout of the PLCs")?;
     let addresses: Vec<String> = BufReader::new(stdout).lines().take(count).collect::<std::io::Result<_>>()?;

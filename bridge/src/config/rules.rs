@@ -17,6 +17,9 @@ pub(super) fn check(sections: &Sections, source: &Source<'_>, faults: &mut Vec<C
     if bridge.buffer.memory.0 == 0 {
         faults.push(source.fault(&["bridge", "buffer", "memory"], "it is more than 0"));
     }
+    if !(1..=100_000).contains(&bridge.connects_per_second) {
+        faults.push(source.fault(&["bridge", "connects_per_second"], "it is 1 to 100000"));
+    }
     if let Err(BufferError::Limit { key, least, .. }) = BufferSettings::of(&bridge.buffer).check() {
         faults.push(source.fault(&["bridge", "buffer", key], format!("with `dir` it is at least {} KiB", least >> 10)));
     }

@@ -24,6 +24,9 @@ pub struct BridgeSection {
     pub http: SocketAddr,
     /// The file with the token of everything that writes over HTTP; without it nothing writes.
     pub token_file: Option<PathBuf>,
+    /// The connections to PLCs that are opened in a second, at most: 1 to 100000.
+    #[schemars(range(min = 1, max = 100_000))]
+    pub connects_per_second: u32,
     /// The buffer between the PLCs and the outputs.
     pub buffer: BufferSection,
 }
@@ -34,6 +37,7 @@ impl Default for BridgeSection {
             id: Name::of_host(),
             http: SocketAddr::from(([127, 0, 0, 1], 9187)),
             token_file: None,
+            connects_per_second: 1000,
             buffer: BufferSection::default(),
         }
     }

@@ -40,6 +40,7 @@ fn the_example_has_each_key_of_the_documentation() {
     assert_eq!(config.bridge.id.as_str(), "hall-2");
     assert_eq!(config.bridge.http.to_string(), "127.0.0.1:9187");
     let BufferSection { max, max_age, memory, sync, .. } = config.bridge.buffer;
+    assert_eq!(config.bridge.connects_per_second, 1000);
     assert_eq!((max.0, max_age.0, memory.0, sync), (1 << 30, Duration::from_secs(7 * 86_400), 64 << 20, false));
     let mqtt = config.mqtt.as_ref().unwrap();
     assert_eq!((mqtt.url.to_string().as_str(), mqtt.user.as_deref()), ("mqtts://broker.plant:8883", Some("hall2")));

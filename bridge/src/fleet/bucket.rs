@@ -28,12 +28,14 @@ use futures::stream::FuturesUnordered;
 use self::snapshot::Snapshot;
 use super::core::{Operation, Outcome};
 use crate::config::{Name, NatsSection};
-use crate::output::nats::connection::{Connection, with_sources};
+use crate::output::nats::connection::{Connection, Overflow, Subscriptions, with_sources};
 
-/// The time for opening all of it.
-const OPEN: Duration = Duration::from_secs(10);
-/// The entries that are on their way at once: fewer than a subscription holds.
+/// The time for opening all of it, at most.
+pub(super) const OPEN: Duration = Duration::from_secs(10);
+/// The entries of one request of a watch.
 const BATCH: usize = 200;
+/// The entries that wait to be taken. A watch has up to two requests at once. An entry that is dropped ends it.
+const SUBSCRIPTIONS: Subscriptions = Subscriptions { capacity: 4 * BATCH, overflow: Overflow::Lost };
 /// The server forgets a watch that is not read for this time.
 const INACTIVE: Duration = Duration::from_secs(60);
 /// The revisions in a row that are looked up. If more are missing, the watch is begun again.
@@ -116,6 +118,8 @@ pub(super) enum OpenError {
     /// The server says that it does not exist.
     #[error("the store {0} does not exist: fatek-bridge fleet init makes it")]
     Missing(String),
+    #[error("the server does not answer")]
+    NoAnswer,
     #[error("{0}")]
     Other(String),
 }
@@ -138,10 +142,14 @@ pub enum Initialized {
 }
 
 /// Opens the store, and a watch of all its entries.
-pub(super) async fn open(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Opened, OpenError> {
-    let opening = open_now(section, id, bucket);
-    let opened = tokio::time::timeout(OPEN, opening).await;
-    opened.unwrap_or_else(|_| Err(OpenError::Other("the server does not answer".to_owned())))
+pub(super) async fn open(
+    section: &NatsSection,
+    id: &Name,
+    bucket: &Name,
+    limit: Duration,
+) -> Result<Opened, OpenError> {
+    let opened = tokio::time::timeout(limit, open_now(section, id, bucket)).await;
+    opened.unwrap_or(Err(OpenError::NoAnswer))
 }
 
 async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Opened, OpenError> {
@@ -174,8 +182,9 @@ async fn open_now(section: &NatsSection, id: &Name, bucket: &Name) -> Result<Ope
 }
 
 async fn connect(section: &NatsSection, id: &Name) -> Result<(Connection, Context), OpenError> {
-    let connection =
-        Connection::open(section, id.as_str()).await.map_err(|error| OpenError::Other(error.to_string()))?;
+    let connection = Connection::open(section, id.as_str(), SUBSCRIPTIONS)
+        .await
+        .map_err(|error| OpenError::Other(error.to_string()))?;
     let context = ContextBuilder::new().timeout(OPEN).build(connection.client().clone());
     Ok((connection, context))
 }
@@ -459,3 +468,6 @@ impl Watch {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -22,6 +22,9 @@ use crate::config::{Name, NatsSection};
 const MAX_REQUESTS: usize = 64;
 /// The delay before another attempt to connect, at most.
 const RECONNECT: Duration = Duration::from_secs(1);
+/// The time for opening the store at first. It is doubled after each attempt without an answer: one that hangs must not
+/// last for many leases, and a store with many entries takes long to open.
+const OPEN: Duration = Duration::from_secs(2);
 /// The period in which the status is renewed.
 const STATUS: Duration = Duration::from_millis(500);
 
@@ -107,6 +110,7 @@ impl Fleet {
             status,
             was_connected: false,
             last_failure: None,
+            open_limit: OPEN,
             failure: None,
             has_left: false,
         };
@@ -177,6 +181,8 @@ struct Driver {
     was_connected: bool,
     /// The last failure to connect, which is logged once.
     last_failure: Option<String>,
+    /// The time for the next attempt to connect.
+    open_limit: Duration,
     failure: Option<StoreFault>,
     has_left: bool,
 }
@@ -252,13 +258,13 @@ impl Driver {
         match step {
             Step::Connect => {
                 let FleetSettings { nats, bucket, .. } = self.settings.clone();
-                let id = self.id.clone();
-                self.link = Link::Connecting(Box::pin(async move { bucket::open(&nats, &id, &bucket).await }));
+                let (id, limit) = (self.id.clone(), self.open_limit);
+                self.link = Link::Connecting(Box::pin(async move { bucket::open(&nats, &id, &bucket, limit).await }));
             }
             Step::Opened(opened) => {
                 let Opened { bucket, watch, created, last_revision, .. } = *opened;
                 tracing::info!("fleet: connected to {}", self.settings.nats.url);
-                (self.was_connected, self.last_failure) = (true, None);
+                (self.was_connected, self.last_failure, self.open_limit) = (true, None, OPEN);
                 self.link = Link::Open(Box::new(Open { bucket, watch, heard: Instant::now() }));
                 self.feed(Input::Connected { created, last_revision });
             }
@@ -269,11 +275,11 @@ impl Driver {
                     self.last_failure = Some(text.clone());
                 }
                 self.wait_to_connect();
-                if matches!(error, OpenError::Missing(_)) {
-                    if !self.was_connected {
-                        return Some(FleetError::NoStore(text));
-                    }
-                    self.feed(Input::StoreMissing);
+                match error {
+                    OpenError::Missing(_) if !self.was_connected => return Some(FleetError::NoStore(text)),
+                    OpenError::Missing(_) => self.feed(Input::StoreMissing),
+                    OpenError::NoAnswer => self.open_limit = self.open_limit.saturating_mul(2).min(bucket::OPEN),
+                    OpenError::Other(_) => {}
                 }
             }
             Step::Lost(why) => self.disconnect(&why),

@@ -55,7 +55,7 @@ pub async fn drain(
 }
 
 async fn order(nats: &NatsSection, id: &Name, bucket: &Name, key: &str, value: String) -> Result<(), OrderError> {
-    let opened = bucket::open(nats, id, bucket).await.map_err(|error| OrderError(error.to_string()))?;
+    let opened = bucket::open(nats, id, bucket, bucket::OPEN).await.map_err(|error| OrderError(error.to_string()))?;
     let stored = tokio::time::timeout(PATIENCE, opened.bucket.store().set(key, value)).await;
     stored.map_err(|_| no_answer())?.map_err(OrderError)
 }
@@ -127,7 +127,8 @@ impl Observer {
         config: &str,
         links: Vec<LinkSpec>,
     ) -> Result<Self, OrderError> {
-        let opened = bucket::open(nats, id, bucket).await.map_err(|error| OrderError(error.to_string()))?;
+        let opened =
+            bucket::open(nats, id, bucket, bucket::OPEN).await.map_err(|error| OrderError(error.to_string()))?;
         let Opened { bucket, watch, created, last_revision, replicas, server_time } = opened;
         // No member has this id.
         let member = Member { id: "".into(), version: String::new(), config: config.to_owned(), weight: 0 };

@@ -81,7 +81,7 @@ impl From<OpenError> for PlantStoreError {
         let text = error.to_string();
         match error {
             OpenError::Missing(_) => Self::Missing(text),
-            OpenError::Other(_) => Self::Other(text),
+            OpenError::NoAnswer | OpenError::Other(_) => Self::Other(text),
         }
     }
 }
@@ -106,7 +106,7 @@ impl PlantStore {
     /// # Errors
     /// [`PlantStoreError`] if there is none, or if it does not answer.
     pub async fn open(nats: &NatsSection, id: &Name, bucket: &Name) -> Result<Self, PlantStoreError> {
-        let Opened { bucket, watch, .. } = bucket::open(nats, id, &bucket.with_ending(ENDING)).await?;
+        let Opened { bucket, watch, .. } = bucket::open(nats, id, &bucket.with_ending(ENDING), bucket::OPEN).await?;
         let mut store = Self {
             bucket,
             watch,
@@ -147,6 +147,11 @@ impl PlantStore {
             Seen::Complete => {}
         }
         Ok(())
+    }
+
+    #[cfg(test)]
+    pub(super) fn set_watch(&mut self, watch: Watch) {
+        (self.watch, self.reread_at) = (watch, Instant::now());
     }
 
     /// Reads the plant: a watch of nats-server 2.9 can lack entries.

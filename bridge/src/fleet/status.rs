@@ -22,6 +22,15 @@ pub struct FleetStatus {
     pub warnings: Vec<String>,
 }
 
+impl FleetStatus {
+    /// The state of a link of the configuration.
+    #[must_use]
+    pub fn link(&self, id: &str) -> Option<&LinkStatus> {
+        let at = self.links.binary_search_by(|link| (*link.link).cmp(id)).ok()?;
+        self.links.get(at)
+    }
+}
+
 /// The state of this member.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum MemberState {

@@ -31,7 +31,7 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 use tokio_util::sync::CancellationToken;
 
-use self::connection::Connection;
+use self::connection::{Connection, Overflow, Subscriptions};
 use self::delivery::Delivery;
 use self::session::{Carried, End, Session};
 use super::{Health, OutputParts};
@@ -43,6 +43,9 @@ use crate::topic::Topics;
 
 /// A connection that lasts longer than this, or delivers a batch, was good: the next delay is short.
 const GOOD: Duration = Duration::from_secs(5);
+/// The commands that wait to be taken.
+const COMMANDS: Subscriptions =
+    Subscriptions { capacity: 256, overflow: Overflow::Warning("too many commands at once: some are lost") };
 
 /// The parts of an output that do not change.
 #[derive(Debug)]
@@ -83,7 +86,7 @@ pub async fn run(section: NatsSection, parts: OutputParts) {
     let mut was_connected = false;
     while !stop.is_cancelled() {
         let opened = tokio::select! {
-            opened = Connection::open(&shared.section, &shared.client) => opened,
+            opened = Connection::open(&shared.section, &shared.client, COMMANDS) => opened,
             () = stop.cancelled() => return,
         };
         match opened {

@@ -18,12 +18,12 @@ use std::time::Duration;
 
 use fatek::link::SendGate;
 use fatek::plant::Plant;
-use fatek::{Endpoint, Pool};
+use fatek::{Endpoint, Pool, PoolBuilder};
 use tokio::task::{JoinError, JoinHandle};
 use tokio::time::{Instant, sleep_until, timeout};
 
-use super::{Bridge, RunError, Signals};
-use crate::config::{Config, Name};
+use super::{Bridge, RunError, Signals, connections};
+use crate::config::{BridgeSection, Config, Name};
 use crate::fleet::{
     Closing, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, FleetTask, Gate, LinkToken, MemberStatus,
     Ownership, PlantLinks, Reach, link_id, member,
@@ -124,11 +124,9 @@ impl OwnedLinks {
     }
 
     /// The pool of a member: its links ask the gates of the ownerships before each write.
-    pub(super) fn pool(&self) -> Pool {
+    pub(super) fn pool(&self, connections: PoolBuilder) -> Pool {
         let owned = self.clone();
-        let gate_of = move |endpoint: &Endpoint| Some(owned.gate_of(endpoint));
-        // The configuration is the limit: a member must be able to poll what it owns.
-        Pool::builder().send_gates(gate_of).max_endpoints(usize::MAX).build()
+        connections.send_gates(move |endpoint: &Endpoint| Some(owned.gate_of(endpoint))).build()
     }
 
     fn gate_of(&self, endpoint: &Endpoint) -> SendGate {
@@ -230,10 +228,9 @@ fn settle(bridge: &Bridge, membership: &Membership) {
         return;
     }
     let status = membership.status();
-    let owned: HashMap<&str, bool> =
-        status.links.iter().map(|link| (&*link.link, link.owner.as_ref().is_some_and(|id| *id != status.id))).collect();
     let links = membership.links();
-    let is_found = |plc: &str| links.link_of(plc).is_some_and(|link| owned.get(&**link) == Some(&true));
+    let has_owner = |link: &str| status.link(link)?.owner.as_ref().map(|id| *id != status.id);
+    let is_found = |plc: &str| links.link_of(plc).and_then(|link| has_owner(link)).unwrap_or(false);
     bridge.registry.settle(is_found);
 }
 
@@ -308,13 +305,9 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
     let links = membership.links();
     let status = membership.status();
     // It can be old by half a second. An owner repeats its states.
-    let targets: HashMap<&str, bool> = status
-        .links
-        .iter()
-        .map(|link| (&*link.link, link.target.as_ref().is_some_and(|target| *target != status.id)))
-        .collect();
     let of_closing = |closing: &Closing| {
-        let has_target = targets.get(&*closing.link).copied().unwrap_or(false);
+        let target = status.link(&closing.link).and_then(|link| link.target.as_ref());
+        let has_target = target.is_some_and(|target| *target != status.id);
         if closing.is_lost || !has_target { Elsewhere::Lost } else { Elsewhere::Member }
     };
     bridge.registry.give_up(closings.iter().flat_map(|closing| {
@@ -338,10 +331,10 @@ fn close(bridge: &Bridge, membership: &Membership, closings: Vec<Closing>) {
 ///
 /// # Errors
 /// [`AddError`] names the PLC.
-pub(super) fn check(plant: &Plant, member: &Name) -> Result<(), AddError> {
+pub(super) fn check(plant: &Plant, bridge: &BridgeSection) -> Result<(), AddError> {
     // Its gates are closed: a pool without gates would connect, and send requests to PLCs of other members.
-    let (poller, pool) = (fatek::Poller::new(), OwnedLinks::new(member.clone()).pool());
-    let links = PlantLinks::of(plant);
+    let (poller, pool) = (fatek::Poller::new(), OwnedLinks::new(bridge.id.clone()).pool(connections(bridge)));
+    let (links, member) = (PlantLinks::of(plant), &bridge.id);
     let is_for = |reach: &Reach| match reach {
         Reach::All => true,
         Reach::Only(hosts) => hosts.iter().any(|host| **host == *member.as_str()),

@@ -3,7 +3,7 @@
 use super::outputs::Outputs;
 use super::{AddError, Bridge, fleet};
 use crate::command::Commands;
-use crate::config::{Config, ConfigError, FleetSection, StoredPlant};
+use crate::config::{Config, ConfigError, FleetSection, NatsSection, StoredPlant};
 use crate::output::OutputKind;
 use crate::registry::Share;
 
@@ -65,7 +65,7 @@ async fn apply(
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));
         let owned = match &membership {
             Some(membership) => {
-                fleet::check(&config.plant, &config.bridge.id)?;
+                fleet::check(&config.plant, &config.bridge)?;
                 Some(membership.owned_plcs(&config.plant))
             }
             None => None,
@@ -116,6 +116,13 @@ fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'
         config.fleet.clone_from(&old.fleet);
         differ.push("section fleet, which is new or gone,");
     }
+    if let (Some(_), Some(nats), Some(before)) = (&config.fleet, &config.nats, &old.nats) {
+        // The output takes the new section. The fleet keeps its connection, which needs none of these.
+        let NatsSection { prefix, stream, write, .. } = nats.clone();
+        if *nats != (NatsSection { prefix, stream, write, ..before.clone() }) {
+            differ.push("section nats, for the fleet and not for the output,");
+        }
+    }
     if config.mqtt.is_some() != old.mqtt.is_some() {
         config.mqtt.clone_from(&old.mqtt);
         differ.push("section mqtt, which is new or gone,");
@@ -135,4 +142,30 @@ fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'
         differ.push("write = true");
     }
     differ
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLANT: &str = "[plc.mixer]\nlink = 'tcp://127.0.0.1:9'\nstation = 1\n";
+
+    fn config(text: &str) -> Config {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("plant.toml");
+        std::fs::write(&path, format!("{text}{PLANT}")).unwrap();
+        Config::load(&path).unwrap()
+    }
+
+    /// The output moved to another server, the fleet stayed, and nothing said so.
+    #[test]
+    fn a_fleet_stays_with_its_server_until_a_restart() {
+        let with = |nats: &str| config(&format!("[nats]\n{nats}\n[fleet]\nid = 'plant-a'\n"));
+        let old = with("url = 'nats://a'");
+        let differ = |nats: &str| keep_fixed(&mut with(nats), &old, false);
+        assert_eq!(differ("url = 'nats://b'"), ["section nats, for the fleet and not for the output,"]);
+        assert_eq!(differ("url = 'nats://a'\nprefix = 'hall'\nstream = 'HALL'"), [""; 0]);
+        let alone = |url: &str| config(&format!("[nats]\nurl = '{url}'\n"));
+        assert_eq!(keep_fixed(&mut alone("nats://b"), &alone("nats://a"), false), [""; 0]);
+    }
 }

@@ -12,6 +12,7 @@ use crate::error::{Error, ErrorCode};
 use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, ReadRequest, Reply};
 use crate::poll::context::StationParams;
+use crate::poll::schedule::Schedule;
 use crate::poll::station_poller::{PollStep, ReadOutcome, StationPoller};
 use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
 use crate::random::Random;
@@ -263,7 +264,7 @@ impl TestRig {
             poller: StationPoller::new(
                 StationParams { station: 1, retries: 2 },
                 (Arc::new(limits), CostModel::network(Framing::Ascii, ms(5))),
-                start,
+                Arc::new(Schedule::new(start)),
                 seed,
                 Arc::default(),
             ),

@@ -271,7 +271,8 @@ impl Core {
             Mine::Taking(_) => true,
             Mine::Owned { .. } | Mine::Closing { .. } | Mine::Releasing { .. } => false,
         };
-        self.links.values().all(is_done)
+        // Links are released in the order of their ids: one that is not done is found among the last ones.
+        self.links.values().rev().all(is_done)
     }
 
     /// The state of all links of the configuration.

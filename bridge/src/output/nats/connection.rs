@@ -21,10 +21,25 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const PING: Duration = Duration::from_secs(5);
 /// The messages that wait for the client to write them. More than are in flight.
 const QUEUE: usize = 2048;
-/// The commands that wait to be taken. The client drops more.
-const SUBSCRIPTION: usize = 256;
 /// The delay of a reconnect, which is never reached.
 const NEVER: Duration = Duration::from_secs(24 * 3600);
+
+/// The subscriptions of a connection.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Subscriptions {
+    /// The messages of one that wait to be taken. The client drops more.
+    pub(crate) capacity: usize,
+    pub(crate) overflow: Overflow,
+}
+
+/// The consequence of messages of a subscription that were dropped.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Overflow {
+    /// A warning.
+    Warning(&'static str),
+    /// The connection counts as lost.
+    Lost,
+}
 
 /// A connection. Its tasks end when it is dropped.
 #[derive(Debug)]
@@ -65,7 +80,11 @@ pub(crate) enum OpenError {
 
 impl Connection {
     /// Opens a connection, with the present content of the files. Cancel-safe.
-    pub(crate) async fn open(section: &NatsSection, name: &str) -> Result<Self, OpenError> {
+    pub(crate) async fn open(
+        section: &NatsSection,
+        name: &str,
+        subscriptions: Subscriptions,
+    ) -> Result<Self, OpenError> {
         let files = section.clone();
         let options = tokio::task::spawn_blocking(move || options(&files)).await;
         // An error: it was aborted, since the runtime ends.
@@ -76,7 +95,7 @@ impl Connection {
             .connection_timeout(CONNECT_TIMEOUT)
             .ping_interval(PING)
             .client_capacity(QUEUE)
-            .subscription_capacity(SUBSCRIPTION)
+            .subscription_capacity(subscriptions.capacity)
             .ignore_discovered_servers()
             .reconnect_delay_callback({
                 let begun = std::sync::atomic::AtomicBool::new(false);
@@ -86,7 +105,7 @@ impl Connection {
                 }
             })
             .event_callback(move |event| {
-                report(&sender, &event);
+                report(&sender, &event, subscriptions.overflow);
                 std::future::ready(())
             });
         let scheme = if section.url.is_tls() { "tls" } else { "nats" };
@@ -128,11 +147,14 @@ impl Connection {
 
 const LOST: &str = "the connection was lost";
 
-fn report(lost: &mpsc::UnboundedSender<String>, event: &Event) {
+fn report(lost: &mpsc::UnboundedSender<String>, event: &Event, overflow: Overflow) {
     let why = match event {
         Event::Disconnected | Event::Closed => LOST.to_owned(),
         Event::LameDuckMode => "the server is shutting down".to_owned(),
-        Event::SlowConsumer(_) => return tracing::warn!("nats: too many commands at once: some are lost"),
+        Event::SlowConsumer(_) => match overflow {
+            Overflow::Warning(text) => return tracing::warn!("nats: {text}"),
+            Overflow::Lost => "messages came faster than they were taken".to_owned(),
+        },
         // Such as missing permissions: the connection stays.
         Event::ServerError(error) => return tracing::warn!("nats: the server reports: {error}"),
         Event::ClientError(error) => return tracing::debug!("nats: {error}"),
@@ -191,8 +213,9 @@ mod tests {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("nats://{}", listener.local_addr().unwrap());
         let section: NatsSection = toml::from_str(&format!("url = '{url}'")).unwrap();
+        let subscriptions = Subscriptions { capacity: 16, overflow: Overflow::Lost };
         tokio::select! {
-            opened = Connection::open(&section, "hall-1") => panic!("{opened:?}"),
+            opened = Connection::open(&section, "hall-1", subscriptions) => panic!("{opened:?}"),
             accepted = listener.accept() => assert!(accepted.is_ok()),
         }
     }
