@@ -24,10 +24,13 @@
 //!
 //! - **Scheduling.** Each station has a task of its own. A [`Plan`](crate::plan::Plan) reads all
 //!   tags of one [`ScanClass`] together, once a period. The phase is random unless the class sets
-//!   it. Without a set phase, tags are first read within milliseconds, at most 5000 classes a
-//!   second; tags that are added to a polled class within a second. One request per station is in
-//!   flight at a time, and calls of other users take precedence
+//!   it. One request per station is in flight at a time, and calls of other users take precedence
 //!   ([`CallOptions::with_background`](crate::CallOptions::with_background)).
+//! - **First readings.** Tags of a class without a phase do not wait for the next due time: they are
+//!   read 10 ms after they were added, or a second after the last cycle of their class began. First
+//!   readings of different lines are spread, 5000 a second, and those of one line leave half of its
+//!   time to other requests. A [`Pool`](crate::Pool) limits the connections a second. A first reading
+//!   that fails is repeated, after pauses of 1 s that double up to the period.
 //! - **Overruns.** A cycle that falls due while the previous one is running is skipped and counted
 //!   in [`Counters::overruns`].
 //! - **Confirmation.** The values of a cycle of several requests are reported together, after a
@@ -203,8 +206,8 @@ impl PollerHandle {
         let cost = cost.unwrap_or_else(|| CostModel::of_station(station));
         let seed = lock(&shared.random).next();
         let params = StationParams { station: station.number(), retries: station.options().retries };
-        let poller =
-            StationPoller::new(params, (limits, cost), shared.schedule.clone(), seed, shared.plan_cache.clone());
+        let line = lock(&shared.stations).line(station.link(), &shared.schedule);
+        let poller = StationPoller::new(params, (limits, cost), line, seed, shared.plan_cache.clone());
         let station = Arc::new(StationShared {
             handle: station.with_options(station.options().with_background(true)),
             poller: Mutex::new(Some(poller)),

@@ -203,8 +203,8 @@ impl Bench {
             for line in BufReader::new(stdout).lines().map_while(std::result::Result::ok) {
                 let name = line.split("\"plc\":\"plc_").nth(1).and_then(|rest| rest.split('"').next());
                 let plc = name.and_then(|name| name.parse().ok()).filter(|plc| *plc < answering);
-                // A replay is no sign of a poll.
-                if let Some(plc) = plc.filter(|_| !line.contains("\"hist\":true")) {
+                // A replay is no sign of a poll, and neither is a tag that is not good.
+                if let Some(plc) = plc.filter(|_| !line.contains("\"hist\":true") && !line.contains("\"q\":")) {
                     let _ = arrivals.send(Arrival { member, plc, at: Instant::now() });
                 }
             }
@@ -247,12 +247,27 @@ impl Bench {
         for member in 0..self.args.members {
             let log = std::fs::read_to_string(self.folder.path().join(format!("member-{member}/log")))?;
             let is_warning = |line: &&str| line.contains(" WARN") || line.contains("ERROR");
-            let lines = log.lines().filter(is_warning).filter(|line| !line.contains("availability"));
+            let is_expected =
+                |line: &&str| self.args.dead > 0 && line.contains("availability") && self.is_of_dead(line);
+            let lines = log.lines().filter(is_warning).filter(|line| !is_expected(line));
             warnings.extend(lines.map(|line| format!("member {member}: {line}")));
         }
         println!("warnings in the logs of the members: {}", warnings.len());
         warnings.iter().take(5).for_each(|line| println!("{line}"));
         Ok(())
+    }
+
+    /// Returns whether a line says that a PLC does not answer which is not there, or more of them.
+    fn is_of_dead(&self, line: &str) -> bool {
+        let number =
+            |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<usize>().ok();
+        match line.split_once("plc_").map(|(_, rest)| number(rest)) {
+            Some(plc) => plc.is_some_and(|plc| plc >= self.args.plcs.saturating_sub(self.args.dead)),
+            None => {
+                let offline = line.split_once("answer: ").and_then(|(_, rest)| number(rest));
+                offline.is_some_and(|offline| offline <= self.args.dead)
+            }
+        }
     }
 
     /// The members as the store has them, how many PLCs each of them polls, and the ends of their logs.

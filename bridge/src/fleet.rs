@@ -18,6 +18,7 @@
 //! | `gate` | the check in front of each write to a PLC |
 //! | `keys` | keys and values in the bucket |
 //! | `naive` | naive variants that a test must see fail, with the feature `naive-fleet` alone |
+//! | `open_limit` | the time for opening the store |
 //! | `operator` | orders by hand, and a look at the fleet without joining it |
 //! | `placement` | the member that is to own a link |
 //! | `status` | the state of the fleet, as a member sees it |
@@ -32,6 +33,7 @@ mod gate;
 mod keys;
 #[cfg(feature = "naive-fleet")]
 mod naive;
+mod open_limit;
 mod operator;
 mod placement;
 mod plants;

@@ -175,6 +175,7 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         () = signals.end() => return Ok(()),
     };
     let poller = Poller::new();
+    let polling = poller.handle();
     let buffer = open_buffer(&config).await?;
     let owned = OwnedLinks::new(config.bridge.id.clone());
     let is_member = config.fleet.is_some();
@@ -184,7 +185,11 @@ pub async fn run(config: Config) -> Result<(), RunError> {
     // Before the commands: a pulse that an earlier run has not ended needs its PLC.
     let none = HashMap::new();
     let share = if is_member { Share::Owned(&none) } else { Share::All };
-    let changes = registry.apply_share(&config.plant, share, &pool, &poller.handle())?;
+    // Readings begin while thousands of PLCs are still being added.
+    let liveness = Liveness::new();
+    let collecting = Collector::new(registry.clone(), buffer.clone(), liveness.clone()).run(poller);
+    let mut collector = tokio::spawn(collecting);
+    let changes = registry.apply_share(&config.plant, share, &pool, &polling)?;
     let joined = if is_member {
         fleet::check(&config.plant, &config.bridge)?;
         fleet::join(&config, owned)?
@@ -196,12 +201,11 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         None => (None, None, None),
     };
     let commands = Commands::start_for(&config, registry.clone(), pool.clone()).await?;
-    let liveness = Liveness::new();
     let bridge = Bridge {
         registry,
         commands,
         pool,
-        poller: poller.handle(),
+        poller: polling,
         buffer: buffer.clone(),
         outputs: config.outputs().into_iter().map(|output| Arc::new(Health::new(output))).collect(),
         liveness: liveness.clone(),
@@ -214,7 +218,6 @@ pub async fn run(config: Config) -> Result<(), RunError> {
         let bridge = bridge.clone();
         tokio::spawn(fleet::run(bridge, membership, events))
     });
-    let mut collector = tokio::spawn(Collector::new(bridge.registry.clone(), buffer, liveness).run(poller));
     let mut present = tokio::spawn(present::run(bridge.buffer.clone(), bridge.registry.clone()));
     let mut availability = tokio::spawn(availability::run(bridge.registry.clone()));
     let stop_http = CancellationToken::new();

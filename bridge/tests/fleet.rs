@@ -160,7 +160,7 @@ async fn an_attempt_without_an_answer_is_given_up_soon() {
     let begin = Instant::now();
     let _second = accept().await.unwrap().unwrap();
     let time = begin.elapsed();
-    assert!(time < Duration::from_secs(4), "{time:?}");
+    assert!(time < Duration::from_millis(4800), "{time:?}");
     node.task.abort();
 }
 

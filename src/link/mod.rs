@@ -283,6 +283,11 @@ impl Link {
     }
 
     /// The endpoint, or the name given to [`connector_builder`](Self::connector_builder).
+    /// The same for all handles of a link, and another one for each link that lives.
+    pub(crate) fn identity(&self) -> usize {
+        Arc::as_ptr(&self.inner).addr()
+    }
+
     pub(crate) fn name(&self) -> &str {
         &self.inner.name
     }

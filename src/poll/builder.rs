@@ -5,7 +5,7 @@ use tokio::time::Instant;
 use tokio_util::task::TaskTracker;
 
 use super::queue::SampleQueue;
-use super::schedule::Schedule;
+use super::schedule::PollerSchedule;
 use super::shared::PollerShared;
 use super::{Poller, PollerHandle};
 use crate::plan::{CostModel, Limits};
@@ -45,7 +45,7 @@ impl PollerBuilder {
             tasks: TaskTracker::new(),
             next_id: AtomicU64::new(1),
             random: Mutex::new(Random::new(self.seed.unwrap_or_else(Random::seed))),
-            schedule: Arc::new(Schedule::new(Instant::now())),
+            schedule: Arc::new(PollerSchedule::new(Instant::now())),
             plan_cache: Arc::default(),
             limits: Arc::default(),
             stations: Mutex::default(),

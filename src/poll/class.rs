@@ -38,8 +38,8 @@ impl ScanClass {
     /// Sets the phase within the period, counted from when the [`Poller`](super::Poller) was made.
     ///
     /// Classes with equal period and phase are read at the same time. Default: random for each
-    /// station, which spreads the load of many stations evenly. A class without a phase is read once
-    /// more, when it is added; one with a phase has its first reading at its phase.
+    /// station, which spreads the load of many stations evenly. Tags of a class with a
+    /// phase have their first reading at its phase; others are read soon after they were added.
     pub fn phase(self, phase: Duration) -> Self {
         Self { phase: Some(phase), ..self }
     }

@@ -1,5 +1,6 @@
 //! State shared by the handles of a poller and the tasks of its stations.
 
+use std::collections::HashMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
@@ -8,9 +9,10 @@ use tokio_util::task::TaskTracker;
 
 use super::plan_cache::PlanCache;
 use super::queue::SampleQueue;
-use super::schedule::Schedule;
+use super::schedule::{LineSchedule, PollerSchedule};
 use super::station_poller::StationPoller;
 use super::{Counters, Sample, Stamp};
+use crate::link::Link;
 use crate::plan::Limits;
 use crate::random::Random;
 use crate::station::Station;
@@ -21,7 +23,7 @@ pub(super) struct PollerShared {
     pub(super) tasks: TaskTracker,
     pub(super) next_id: AtomicU64,
     pub(super) random: Mutex<Random>,
-    pub(super) schedule: Arc<Schedule>,
+    pub(super) schedule: Arc<PollerSchedule>,
     pub(super) plan_cache: Arc<PlanCache>,
     /// The limits of the protocol.
     pub(super) limits: Arc<Limits>,
@@ -33,6 +35,8 @@ pub(super) struct PollerShared {
 pub(super) struct StationRegistry {
     pub(super) closed: bool,
     pub(super) active: Vec<Weak<StationShared>>,
+    /// The schedules of the lines of these stations, by the [identity](crate::Link::identity) of the link.
+    lines: HashMap<usize, Weak<LineSchedule>>,
     /// Counters of the stations that are not polled any more.
     pub(super) retired: Counters,
 }
@@ -45,6 +49,22 @@ pub(super) struct StationShared {
     pub(super) poller: Mutex<Option<StationPoller>>,
     /// Wakes the task: tags were added or removed, or polling was stopped.
     pub(super) changed: Notify,
+}
+
+impl StationRegistry {
+    /// Returns the schedule of the line of a link.
+    pub(super) fn line(&mut self, link: &Link, poller: &Arc<PollerSchedule>) -> Arc<LineSchedule> {
+        // A station keeps its link and this schedule, so another link has this identity only after both.
+        if let Some(line) = self.lines.get(&link.identity()).and_then(Weak::upgrade) {
+            return line;
+        }
+        if self.lines.len() == self.lines.capacity() {
+            self.lines.retain(|_, line| line.strong_count() > 0);
+        }
+        let line = Arc::new(LineSchedule::new(poller.clone()));
+        self.lines.insert(link.identity(), Arc::downgrade(&line));
+        line
+    }
 }
 
 impl PollerShared {

@@ -9,8 +9,8 @@
 //! starved because its deadline comes first in the end.
 //!
 //! Invariants:
-//! - a cycle begins at a due time of its class, or later if that is not possible. Due times at
-//!   which a cycle is running are skipped and counted as overruns: a class has at most one cycle;
+//! - a cycle begins at a time that the [schedule](super::schedule) of its class gives, or later if
+//!   that is not possible; a class has at most one cycle;
 //! - values are reported only after their cycle has confirmed them;
 //! - a tag has no samples after its removal;
 //! - after [`next_step`](StationPoller::next_step) or [`age`](StationPoller::age), the quality of
@@ -27,7 +27,7 @@ use super::context::{StationContext, StationParams};
 use super::cycle::{Cycle, CycleContext, CycleStart, CycleStep};
 use super::latency::LatencyEstimator;
 use super::plan_cache::PlanCache;
-use super::schedule::Schedule;
+use super::schedule::{Due, LineSchedule};
 use super::stats::{ClassStats, Counters};
 use super::tag_state::TagState;
 use super::{PollError, Reason, Sample, Stamp, TagId};
@@ -46,7 +46,7 @@ pub(super) struct StationPoller {
     /// The index of the class whose request or check is in flight.
     active: Option<usize>,
     random: Random,
-    schedule: Arc<Schedule>,
+    line: Arc<LineSchedule>,
     next_group: u64,
     /// The number of values of all tags.
     values: usize,
@@ -84,7 +84,7 @@ impl StationPoller {
     pub(super) fn new(
         params: StationParams,
         (limits, cost): (Arc<Limits>, CostModel),
-        schedule: Arc<Schedule>,
+        line: Arc<LineSchedule>,
         seed: u64,
         plan_cache: Arc<PlanCache>,
     ) -> Self {
@@ -94,7 +94,7 @@ impl StationPoller {
             retired: None,
             active: None,
             random: Random::new(seed),
-            schedule,
+            line,
             next_group: 0,
             values: 0,
         }
@@ -115,7 +115,7 @@ impl StationPoller {
         }
         let planned = tags.iter().map(|(_, tag)| tag.tag);
         let builder = Plan::builder(self.context.latency.cost()).limits(Limits::clone(&self.context.limits));
-        if one_scan { builder.one_scan(planned) } else { builder.tags(planned) }.build()?;
+        let plan = if one_scan { builder.one_scan(planned) } else { builder.tags(planned) }.build()?;
         let values = tags.iter().map(|(_, tag)| tag.tag.value_count()).fold(self.values, usize::saturating_add);
         if values > MAX_VALUES {
             return Err(PlanError::TooManyValues { max: MAX_VALUES }.into());
@@ -128,7 +128,7 @@ impl StationPoller {
         let index = match self.classes.iter().position(|class| class.scan == scan) {
             Some(index) => index,
             None => {
-                let due = self.schedule.first_due(&scan, now.instant, self.random.next());
+                let due = self.line.first_due(&scan, now.instant, self.random.next());
                 // Exact, because most of thousands of stations have one class.
                 self.classes.reserve_exact(1);
                 self.classes.push(ClassState::new(scan, due));
@@ -141,7 +141,7 @@ impl StationPoller {
             }
             class.members.extend(tags.iter().map(|(id, _)| *id));
             class.plan = None;
-            class.read_early(&self.schedule, now.instant);
+            class.schedule.tags_added(&scan, &self.line, now.instant, plan.time());
         }
         self.context.tag_map.extend(tags.into_iter().map(|(id, tag)| TagState::new(id, tag, group, now)));
         Ok(())
@@ -245,7 +245,7 @@ impl StationPoller {
                 CycleStep::Confirm => PollStep::Confirm,
             };
         }
-        PollStep::Wait(self.classes.iter().map(ClassState::next_due).chain(self.next_aging()).min())
+        PollStep::Wait(self.classes.iter().map(|class| class.schedule.next_due()).chain(self.next_aging()).min())
     }
 
     /// Handles the outcome of the request that [`next_step`](Self::next_step) returned.
@@ -337,7 +337,8 @@ impl StationPoller {
     /// Begins a cycle of a class if it is due.
     fn begin(&mut self, index: usize, now: Stamp, samples: &mut Vec<Sample>) {
         let Some(class) = self.classes.get_mut(index) else { return };
-        let Some(due) = class.begin(now.instant) else { return };
+        let Some(Due { at: due, overruns }) = class.schedule.begin(&class.scan, now.instant) else { return };
+        class.stats.overruns = class.stats.overruns.saturating_add(overruns);
         // A single request for nothing but the tags is optimal at any cost.
         let can_improve = |plan: &ClassPlan| !matches!(plan.plans.as_slice(), [plan] if plan.is_tight());
         let is_old =
@@ -392,7 +393,9 @@ impl StationPoller {
             class.stats.abandoned = class.stats.abandoned.saturating_add(1);
         }
         class.stats.last_cycle = now.instant.saturating_duration_since(cycle.started);
-        class.skip_overruns(now.instant);
+        let is_complete = cycle.abandoned.is_none();
+        let overruns = class.schedule.end(&class.scan, now.instant, is_complete);
+        class.stats.overruns = class.stats.overruns.saturating_add(overruns);
         class.schedule_aging(&self.context.tag_map);
     }
 

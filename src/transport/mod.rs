@@ -5,6 +5,7 @@
 //! variants, so a new transport takes its file and its arms here.
 
 mod authority;
+mod lookup;
 mod serial;
 mod tcp;
 mod udp;

@@ -7,6 +7,7 @@ use futures::stream::{FuturesUnordered, StreamExt as _};
 use socket2::{SockRef, TcpKeepalive};
 use tokio::net::TcpStream;
 
+use super::lookup::lookup;
 use super::{Address, Kind, Transport, authority};
 
 pub(super) static KIND: Kind = Kind { prefix: "tcp://", own_options: None, is_remote: true, is_one_line: false, parse };
@@ -18,7 +19,7 @@ fn parse(address: &Address<'_>) -> Result<Transport, String> {
 
 /// Connects to an address of the host: each gets its chance, for the first one may be dead.
 pub(super) async fn connect(host: &str, port: u16, keep_alive: bool) -> io::Result<TcpStream> {
-    let stream = connect_any(tokio::net::lookup_host((host, port)).await?.collect()).await?;
+    let stream = connect_any(lookup(host, port).await?).await?;
     // Requests are single small writes followed by a wait: coalescing them only adds delay.
     stream.set_nodelay(true)?;
     if keep_alive {

@@ -19,11 +19,12 @@ use std::task::{Context, Poll, Waker, ready};
 use bytes::BytesMut;
 use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
-use tokio::net::{UdpSocket, lookup_host};
+use tokio::net::UdpSocket;
 use tokio::task::consume_budget;
 use tokio_util::codec::Decoder;
 use tokio_util::sync::ReusableBoxFuture;
 
+use super::lookup::lookup;
 use super::{Address, Kind, Transport, authority};
 use crate::wire::{Codec, Framing, MAX_FRAME_LEN, Side, fingerprint};
 
@@ -56,7 +57,7 @@ const MAX_DISCARDED: usize = 64;
 /// Nothing is sent, so success does not mean that the host is there. `number` chooses among several
 /// addresses of the host: IPv4 first, the lowest first.
 pub(super) async fn connect(host: &str, port: u16, framing: Framing, number: usize) -> io::Result<Datagrams> {
-    connect_any(lookup_host((host, port)).await?.collect(), framing, number).await
+    connect_any(lookup(host, port).await?, framing, number).await
 }
 
 async fn connect_any(mut addresses: Vec<SocketAddr>, framing: Framing, number: usize) -> io::Result<Datagrams> {

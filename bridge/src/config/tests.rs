@@ -89,6 +89,18 @@ fn a_fleet_has_defaults_and_bounds() {
 }
 
 #[test]
+fn the_rate_of_connections_has_bounds() {
+    let with = |rate: &str| format!("[bridge]\nconnects_per_second = {rate}\n{PLC}");
+    for rate in [1, 100_000] {
+        assert_eq!(read(&with(&rate.to_string())).bridge.connects_per_second, rate);
+    }
+    for rate in ["0", "100001"] {
+        assert_eq!(faults(&with(rate)), ["line 2, bridge.connects_per_second: it is 1 to 100000"]);
+    }
+    assert_eq!(faults(&with("-1")).len(), 1);
+}
+
+#[test]
 fn each_plc_of_a_fleet_has_one_owner() {
     const PORT: &str = "[bus.line1]\nlink = 'serial:/dev/ttyS0'\nstations = { a = 1, b = 2 }\n";
     let fleet = format!("[fleet]\nid = 'a'\n{NATS}");

@@ -15,6 +15,7 @@ use super::bucket::{self, Bucket, OpenError, Opened, Seen, Watch};
 use super::core::{Action, Core, Input, Member, Nanos, Outcome, Settings, StoreFault};
 use super::gate::{Deadline, Gate, boot_time};
 use super::keys::nanoseconds;
+use super::open_limit::OpenLimit;
 use super::{Closing, Event, FleetStatus, LinkSpec, LinkToken, Ownership};
 use crate::config::{Name, NatsSection};
 
@@ -22,9 +23,6 @@ use crate::config::{Name, NatsSection};
 const MAX_REQUESTS: usize = 64;
 /// The delay before another attempt to connect, at most.
 const RECONNECT: Duration = Duration::from_secs(1);
-/// The time for opening the store at first. It is doubled after each attempt without an answer: one that hangs must not
-/// last for many leases, and a store with many entries takes long to open.
-const OPEN: Duration = Duration::from_secs(2);
 /// The period in which the status is renewed.
 const STATUS: Duration = Duration::from_millis(500);
 
@@ -110,7 +108,7 @@ impl Fleet {
             status,
             was_connected: false,
             last_failure: None,
-            open_limit: OPEN,
+            open_limit: OpenLimit::default(),
             failure: None,
             has_left: false,
         };
@@ -155,7 +153,10 @@ fn process_name() -> Result<String, FleetError> {
 enum Link {
     /// The next attempt is due then.
     Waiting(Instant),
-    Connecting(Boxed<Result<Opened, OpenError>>),
+    Connecting {
+        begin: Instant,
+        opening: Boxed<Result<Opened, OpenError>>,
+    },
     Open(Box<Open>),
 }
 
@@ -181,8 +182,7 @@ struct Driver {
     was_connected: bool,
     /// The last failure to connect, which is logged once.
     last_failure: Option<String>,
-    /// The time for the next attempt to connect.
-    open_limit: Duration,
+    open_limit: OpenLimit,
     failure: Option<StoreFault>,
     has_left: bool,
 }
@@ -190,8 +190,8 @@ struct Driver {
 /// An event of a connection.
 enum Step {
     Connect,
-    Opened(Box<Opened>),
-    Refused(OpenError),
+    Opened { opened: Box<Opened>, after: Duration },
+    Refused { error: OpenError, after: Duration },
     Lost(String),
     Seen(Seen),
     Silent,
@@ -258,17 +258,20 @@ impl Driver {
         match step {
             Step::Connect => {
                 let FleetSettings { nats, bucket, .. } = self.settings.clone();
-                let (id, limit) = (self.id.clone(), self.open_limit);
-                self.link = Link::Connecting(Box::pin(async move { bucket::open(&nats, &id, &bucket, limit).await }));
+                let (id, limit) = (self.id.clone(), self.open_limit.next());
+                let opening = Box::pin(async move { bucket::open(&nats, &id, &bucket, limit).await });
+                self.link = Link::Connecting { begin: Instant::now(), opening };
             }
-            Step::Opened(opened) => {
+            Step::Opened { opened, after } => {
+                self.open_limit.opened(after);
                 let Opened { bucket, watch, created, last_revision, .. } = *opened;
                 tracing::info!("fleet: connected to {}", self.settings.nats.url);
-                (self.was_connected, self.last_failure, self.open_limit) = (true, None, OPEN);
+                (self.was_connected, self.last_failure) = (true, None);
                 self.link = Link::Open(Box::new(Open { bucket, watch, heard: Instant::now() }));
                 self.feed(Input::Connected { created, last_revision });
             }
-            Step::Refused(error) => {
+            Step::Refused { error, after } => {
+                self.open_limit.failed(after);
                 let text = error.to_string();
                 if self.last_failure.as_ref() != Some(&text) {
                     tracing::warn!("fleet: {}: {text}", self.settings.nats.url);
@@ -278,8 +281,7 @@ impl Driver {
                 match error {
                     OpenError::Missing(_) if !self.was_connected => return Some(FleetError::NoStore(text)),
                     OpenError::Missing(_) => self.feed(Input::StoreMissing),
-                    OpenError::NoAnswer => self.open_limit = self.open_limit.saturating_mul(2).min(bucket::OPEN),
-                    OpenError::Other(_) => {}
+                    OpenError::NoAnswer | OpenError::Other(_) => {}
                 }
             }
             Step::Lost(why) => self.disconnect(&why),
@@ -393,9 +395,9 @@ impl Link {
                 sleep_until(*until).await;
                 Step::Connect
             }
-            Self::Connecting(opening) => match opening.await {
-                Ok(opened) => Step::Opened(Box::new(opened)),
-                Err(error) => Step::Refused(error),
+            Self::Connecting { begin, opening } => match opening.await {
+                Ok(opened) => Step::Opened { opened: Box::new(opened), after: begin.elapsed() },
+                Err(error) => Step::Refused { error, after: begin.elapsed() },
             },
             Self::Open(open) => {
                 let Open { bucket, watch, heard } = &mut **open;

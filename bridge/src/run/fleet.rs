@@ -23,7 +23,7 @@ use tokio::task::{JoinError, JoinHandle};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use super::{Bridge, RunError, Signals, connections};
-use crate::config::{BridgeSection, Config, Name};
+use crate::config::{BridgeSection, Config, Name, NatsSection};
 use crate::fleet::{
     Closing, Event, Events, Fleet, FleetError, FleetSettings, FleetStatus, FleetTask, Gate, LinkToken, MemberStatus,
     Ownership, PlantLinks, Reach, link_id, member,
@@ -46,6 +46,8 @@ const LOOK: Duration = Duration::from_secs(1);
 pub struct Membership {
     fleet: Fleet,
     owned: OwnedLinks,
+    /// The server of its store, until it ends.
+    nats: Arc<NatsSection>,
     /// Of the configuration that is in force.
     links: Arc<RwLock<Arc<PlantLinks>>>,
     counters: Arc<Counters>,
@@ -78,6 +80,11 @@ impl Membership {
     pub fn counts(&self) -> MembershipCounts {
         let Counters { taken, lost } = &*self.counters;
         MembershipCounts { taken: taken.load(Ordering::Relaxed), lost: lost.load(Ordering::Relaxed) }
+    }
+
+    /// The section of the server of its store, as it was at the start.
+    pub(super) fn nats(&self) -> &NatsSection {
+        &self.nats
     }
 
     /// The links of the configuration that is in force.
@@ -184,7 +191,7 @@ pub(super) fn join(config: &Config, owned: OwnedLinks) -> Result<Option<(Members
     };
     let (fleet, events, task) = Fleet::start(settings)?;
     let links = Arc::new(RwLock::new(Arc::new(links)));
-    Ok(Some((Membership { fleet, owned, links, counters: Arc::default() }, events, task)))
+    Ok(Some((Membership { fleet, owned, nats: Arc::new(nats.clone()), links, counters: Arc::default() }, events, task)))
 }
 
 /// Polls what the fleet gives to this member, until the fleet ends.

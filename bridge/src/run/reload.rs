@@ -1,7 +1,7 @@
 //! Reload: the configuration is read again, and the difference is applied.
 
 use super::outputs::Outputs;
-use super::{AddError, Bridge, fleet};
+use super::{AddError, Bridge, Membership, fleet};
 use crate::command::Commands;
 use crate::config::{Config, ConfigError, FleetSection, NatsSection, StoredPlant};
 use crate::output::OutputKind;
@@ -60,7 +60,8 @@ async fn apply(
     let applied = tokio::task::spawn_blocking(move || {
         let _runtime = runtime.enter();
         let mut config = make(&old)?;
-        let needs_restart = keep_fixed(&mut config, &old, commands.is_some());
+        let needs_restart =
+            keep_fixed(&mut config, &old, membership.as_ref().map(Membership::nats), commands.is_some());
         // No output writes a tag that its new section does not let it write, or its old one.
         allow(commands.as_ref(), |output| config.takes_commands(output) && old.takes_commands(output));
         let owned = match &membership {
@@ -98,8 +99,14 @@ fn allow(commands: Option<&Commands>, takes_commands: impl Fn(OutputKind) -> boo
 
 /// Keeps the settings that cannot change while the bridge runs. Returns the names of those that differ.
 ///
-/// `takes_commands`: the bridge was started with an output that takes commands.
-fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'static str> {
+/// `store`: the section of the server that the fleet uses. `takes_commands`: the bridge was started with an output that
+/// takes commands.
+fn keep_fixed(
+    config: &mut Config,
+    old: &Config,
+    store: Option<&NatsSection>,
+    takes_commands: bool,
+) -> Vec<&'static str> {
     let mut differ = Vec::new();
     if config.bridge != old.bridge {
         config.bridge = old.bridge.clone();
@@ -116,11 +123,11 @@ fn keep_fixed(config: &mut Config, old: &Config, takes_commands: bool) -> Vec<&'
         config.fleet.clone_from(&old.fleet);
         differ.push("section fleet, which is new or gone,");
     }
-    if let (Some(_), Some(nats), Some(before)) = (&config.fleet, &config.nats, &old.nats) {
+    if let (Some(nats), Some(before)) = (&config.nats, store) {
         // The output takes the new section. The fleet keeps its connection, which needs none of these.
         let NatsSection { prefix, stream, write, .. } = nats.clone();
         if *nats != (NatsSection { prefix, stream, write, ..before.clone() }) {
-            differ.push("section nats, for the fleet and not for the output,");
+            differ.push("for the fleet, section nats");
         }
     }
     if config.mqtt.is_some() != old.mqtt.is_some() {
@@ -161,11 +168,14 @@ mod tests {
     #[test]
     fn a_fleet_stays_with_its_server_until_a_restart() {
         let with = |nats: &str| config(&format!("[nats]\n{nats}\n[fleet]\nid = 'plant-a'\n"));
-        let old = with("url = 'nats://a'");
-        let differ = |nats: &str| keep_fixed(&mut with(nats), &old, false);
-        assert_eq!(differ("url = 'nats://b'"), ["section nats, for the fleet and not for the output,"]);
-        assert_eq!(differ("url = 'nats://a'\nprefix = 'hall'\nstream = 'HALL'"), [""; 0]);
-        let alone = |url: &str| config(&format!("[nats]\nurl = '{url}'\n"));
-        assert_eq!(keep_fixed(&mut alone("nats://b"), &alone("nats://a"), false), [""; 0]);
+        let (a, b) = ("url = 'nats://a'", "url = 'nats://b'");
+        let store = with(a).nats.unwrap();
+        let differ = |old: &str, new: &str| keep_fixed(&mut with(new), &with(old), Some(&store), false);
+        assert_eq!(differ(a, b), ["for the fleet, section nats"]);
+        assert_eq!(differ(b, b), ["for the fleet, section nats"], "it still is");
+        assert_eq!(differ(b, a), [""; 0]);
+        assert_eq!(differ(a, "url = 'nats://a'\nprefix = 'hall'\nstream = 'HALL'"), [""; 0]);
+        let alone = |nats: &str| config(&format!("[nats]\n{nats}\n"));
+        assert_eq!(keep_fixed(&mut alone(b), &alone(a), None, false), [""; 0]);
     }
 }

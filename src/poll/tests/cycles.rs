@@ -1,10 +1,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::rig::{TestRig, ms, tags};
+use super::rig::{TestRig, line, ms, tags};
 use crate::plan::{CostModel, Limits};
 use crate::poll::context::StationParams;
-use crate::poll::schedule::Schedule;
 use crate::poll::station_poller::StationPoller;
 use crate::poll::{PollError, PollTag, ScanClass};
 use crate::wire::Framing;
@@ -42,51 +41,6 @@ fn a_random_phase_is_within_the_period_and_constant() {
     }
     let early = phases.iter().filter(|phase| **phase < ms(50)).count();
     assert!((10..40).contains(&early), "{early} of 50 in the first half");
-}
-
-/// Each waited for its phase: up to an hour.
-#[test]
-fn the_first_reading_of_an_hourly_class_is_at_once_and_that_of_a_later_tag_within_a_second() {
-    let hourly = ScanClass::every(Duration::from_secs(3600));
-    let mut rig = TestRig::new(1);
-    rig.add(hourly, &["R0"]);
-    // Added by another call, and read together.
-    rig.add(hourly, &["R100"]);
-    rig.run(ms(300));
-    assert_eq!(rig.plc.requests.len(), 1, "one cycle: {:?}", rig.plc.requests);
-    let later = rig.add(hourly, &["R200"]);
-    rig.run(ms(500));
-    assert_eq!(rig.plc.requests.len(), 1, "no cycle before a second has passed");
-    rig.run(ms(500));
-    assert!(rig.latest(later[0]).is_good());
-    let early = rig.plc.requests.len();
-    rig.run(Duration::from_secs(3600));
-    assert!(rig.plc.requests.len() > early, "read by its phase, too");
-    rig.run(ms(10));
-    assert_eq!(rig.poller.classes().next().unwrap().cycles, 3);
-}
-
-#[test]
-fn a_due_time_that_passes_in_the_first_reading_is_no_overrun() {
-    for seed in 0..20 {
-        let mut rig = TestRig::new(seed);
-        rig.plc.response_time = ms(90);
-        rig.add(ScanClass::every(ms(100)), &["R0"]);
-        rig.run(ms(2000));
-        let stats = rig.poller.classes().next().unwrap();
-        assert_eq!(stats.overruns, 0, "seed {seed}");
-        assert!(stats.cycles >= 19, "seed {seed}: {stats:?}");
-    }
-}
-
-#[test]
-fn first_readings_of_many_stations_are_spread() {
-    let schedule = Arc::new(Schedule::new(tokio::time::Instant::now()));
-    let now = tokio::time::Instant::now();
-    let times: Vec<_> = (0..5001).map(|_| schedule.next_first_reading(now)).collect();
-    assert!(times[0] - now <= ms(10));
-    assert_eq!(times[5000] - times[0], ms(1000));
-    assert!(schedule.next_first_reading(now + ms(5000)) - now <= ms(5010), "a pause is no debt");
 }
 
 #[test]
@@ -220,7 +174,7 @@ fn a_longer_response_time_makes_fewer_requests() {
     let cost = CostModel::network(Framing::Ascii, ms(5)).with_byte_time(ms(1));
     let polled = StationParams { station: 1, retries: 2 };
     let limits = Arc::new(Limits::new().mixed_reads(false));
-    rig.poller = StationPoller::new(polled, (limits, cost), Arc::new(Schedule::new(rig.start)), 1, Arc::default());
+    rig.poller = StationPoller::new(polled, (limits, cost), line(rig.start), 1, Arc::default());
     let requests = |rig: &TestRig| rig.poller.classes().next().unwrap().requests_per_cycle;
     // The time of the reply's bytes does not count as response time.
     rig.plc.response_time = ms(20);

@@ -1,5 +1,6 @@
 mod cycles;
 mod duplicates;
+mod first_readings;
 mod quality;
 mod random;
 mod refusals;

@@ -12,7 +12,7 @@ use crate::error::{Error, ErrorCode};
 use crate::link::{Proof, Shape};
 use crate::plan::{CostModel, Limits, ReadRequest, Reply};
 use crate::poll::context::StationParams;
-use crate::poll::schedule::Schedule;
+use crate::poll::schedule::{LineSchedule, PollerSchedule};
 use crate::poll::station_poller::{PollStep, ReadOutcome, StationPoller};
 use crate::poll::{PollError, PollTag, Sample, ScanClass, Stamp, TagId};
 use crate::random::Random;
@@ -253,6 +253,11 @@ impl FakePlc {
     }
 }
 
+/// The schedule of a line with one station.
+pub(super) fn line(epoch: Instant) -> Arc<LineSchedule> {
+    Arc::new(LineSchedule::new(Arc::new(PollerSchedule::new(epoch))))
+}
+
 impl TestRig {
     pub(super) fn new(seed: u64) -> Self {
         Self::with_limits(seed, Limits::new())
@@ -264,7 +269,7 @@ impl TestRig {
             poller: StationPoller::new(
                 StationParams { station: 1, retries: 2 },
                 (Arc::new(limits), CostModel::network(Framing::Ascii, ms(5))),
-                Arc::new(Schedule::new(start)),
+                line(start),
                 seed,
                 Arc::default(),
             ),
