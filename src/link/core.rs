@@ -37,6 +37,7 @@ use super::frame_gap::FrameGap;
 use super::in_step::{Declared, InStep, Prices, Proof};
 use super::later;
 use super::mute::MuteDetector;
+use super::one_request::{Change, OneRequest};
 use super::scheduler::Scheduler;
 use super::stations::Stations;
 use super::stats::{SharedStats, StationState, add};
@@ -88,12 +89,7 @@ pub(crate) struct Core {
     closing: bool,
     nonce: u64,
     prices: Prices,
-    /// The device closes its connection after each reply: set, or learned.
-    one_request: bool,
-    /// The last reply over the connection was the echo of a check. Strays do not count.
-    echo_was_last: bool,
-    /// Number of connections in a row that were closed right after the echo of a check.
-    closed_behind_echo: u32,
+    one_request: OneRequest,
     mute: MuteDetector,
     /// The connection is being replaced because it is mute.
     replacing: bool,
@@ -102,9 +98,6 @@ pub(crate) struct Core {
     /// All data were read after the response timeout of the request on the wire.
     has_read_again: bool,
 }
-
-/// Number of such connections after which silence replaces the check.
-const CLOSES_TO_LEARN: u32 = 2;
 
 impl Core {
     pub(crate) fn new(config: Arc<Config>, name: Arc<str>, stats: Arc<SharedStats>, seed: u64) -> Self {
@@ -122,9 +115,7 @@ impl Core {
             nonce: random.next(),
             connection: Connection::new(config.connect_backoff, random),
             prices: outgoing::prices(&config),
-            one_request: config.in_step.one_request(),
-            echo_was_last: false,
-            closed_behind_echo: 0,
+            one_request: OneRequest::new(config.in_step.one_request()),
             mute: MuteDetector::new(config.mute_timeout),
             replacing: false,
             timed_out: None,
@@ -307,7 +298,8 @@ impl Core {
     pub(crate) fn connected(&mut self, now: Instant) {
         self.exchange.reconnected();
         self.stations.for_all(InStep::connected);
-        self.echo_was_last = false;
+        let change = self.one_request.connected();
+        self.note_one_request(change);
         if !self.connection.is_spent() {
             self.stations.probe_soon(now);
         }
@@ -352,7 +344,8 @@ impl Core {
             self.connection.retry_within(limit, now);
         }
         self.exchange.forget();
-        self.learn_one_request(error);
+        let change = self.one_request.lost(error);
+        self.note_one_request(change);
         if let Some(call) = self.resynced.take() {
             self.scheduler.push_front(call);
         }
@@ -466,23 +459,20 @@ impl Core {
         Action::Disconnect
     }
 
-    /// Learns from a lost connection: a device that closes its connection after each reply also
-    /// does so after the echo of a check.
-    fn learn_one_request(&mut self, error: &io::Error) {
-        use io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
-        let closed = matches!(error.kind(), UnexpectedEof | ConnectionReset | ConnectionAborted | BrokenPipe);
-        if !closed || !self.echo_was_last || self.one_request {
-            return;
-        }
-        self.closed_behind_echo = self.closed_behind_echo.saturating_add(1);
-        if self.closed_behind_echo >= CLOSES_TO_LEARN {
-            self.one_request = true;
-            self.stats.count_link(|link| link.one_request = true);
-            let quiet = self.config.in_step.quiet();
-            tracing::warn!(
-                ?quiet,
-                "device closes its connection after each reply: silence replaces checks from now on"
-            );
+    /// Notes what was learned, or forgotten, about the connections of the device.
+    fn note_one_request(&mut self, change: Option<Change>) {
+        let Some(change) = change else { return };
+        self.stats.count_link(|link| link.one_request = change != Change::Forgotten);
+        let quiet = self.config.in_step.quiet();
+        match change {
+            Change::LearnedFirst => {
+                tracing::warn!(
+                    ?quiet,
+                    "device closes its connection after each reply: silence replaces checks from now on"
+                );
+            }
+            Change::LearnedAgain => tracing::debug!("device still closes its connection after each reply"),
+            Change::Forgotten => tracing::debug!("checks are tried again: the device may have been misjudged"),
         }
     }
 

@@ -38,6 +38,7 @@ mod io_waker;
 pub(crate) mod job;
 mod line;
 mod mute;
+mod one_request;
 mod shared;
 mod shared_capabilities;
 pub(crate) use line::Line;

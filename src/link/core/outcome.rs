@@ -104,9 +104,8 @@ impl Core {
         match active.outgoing {
             Outgoing::Call(call) => {
                 self.used_at = Some(now);
-                self.echo_was_last = false;
-                self.closed_behind_echo = 0;
-                if self.one_request {
+                self.one_request.call_answered();
+                if self.one_request.is_in_force() {
                     self.connection.spend();
                 }
                 let slot = &*call.slot;
@@ -157,7 +156,7 @@ impl Core {
                 let rule = self.rule(station);
                 let passed = match request {
                     LinkRequest::Check(check) => {
-                        self.echo_was_last = !reply.refused;
+                        self.one_request.check_answered(!reply.refused);
                         let refused = reply.refused && reply.shape.code == Code::LoopBack;
                         self.stats.count_station(station, |stats| add(&mut stats.refused_checks, u64::from(refused)));
                         self.stations.with_in_step(station, |in_step| {
@@ -240,7 +239,7 @@ impl Core {
         let own = matches!(active.outgoing, Outgoing::Call(_));
         self.scheduler.charge_timeout(station, after);
         self.stats.add_bus_time(after);
-        self.echo_was_last = false;
+        self.one_request.timed_out();
         self.timed_out = Some((station, now));
         if let Some(gap) = &mut self.frame_gap {
             let answers = self.stations.is_answering(station) && self.stations.round_trip(station).is_some();

@@ -22,7 +22,7 @@ impl Core {
         let settings = self.config.in_step;
         let quiet = settings.quiet().max(self.stations.longest_timeout(station));
         let busy = self.prices.line_time(self.exchange.line_bytes());
-        Rule { settings, quiet, one_request: self.one_request, prices: self.prices, busy }
+        Rule { settings, quiet, one_request: self.one_request.is_in_force(), prices: self.prices, busy }
     }
 
     pub(super) fn next_outgoing(&mut self, now: Instant) -> Option<Outgoing> {

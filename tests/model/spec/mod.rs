@@ -62,6 +62,8 @@ pub(crate) struct Spec {
     unanswered: Option<(Micros, Micros, u32)>,
     /// Each connection carries one request only.
     one_request: bool,
+    /// That was learned, for this number of further connections.
+    learned_for: Option<u8>,
     /// The request of this connection has been answered.
     spent: bool,
     /// Times until which the link may wait for silence of a station.
@@ -95,6 +97,7 @@ impl Spec {
             closed_behind_echo: 0,
             unanswered: None,
             one_request: false,
+            learned_for: None,
             spent: false,
             silences: BTreeMap::new(),
             silent_since: BTreeMap::new(),
@@ -240,6 +243,11 @@ impl Spec {
         self.learned_from = None;
         self.unanswered = None;
         self.echo_was_last = false;
+        match &mut self.learned_for {
+            Some(0) => (self.one_request, self.learned_for, self.closed_behind_echo) = (false, None, 0),
+            Some(connections) => *connections -= 1,
+            None => {}
+        }
         // Replies to requests over earlier connections, or of other clients, may still arrive.
         self.stations.values_mut().for_each(|entry| entry.reconnected(at));
         if !std::mem::take(&mut self.spent) {
@@ -273,6 +281,7 @@ impl Spec {
         if self.echo_was_last && !self.one_request {
             self.closed_behind_echo += 1;
             self.one_request = self.closed_behind_echo >= 2;
+            self.learned_for = self.one_request.then_some(60);
         }
         if let Some(id) = self.resynced.take() {
             self.requeue(id);

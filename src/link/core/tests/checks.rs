@@ -245,6 +245,14 @@ fn after_two_closes_behind_an_echo_silence_replaces_checks() {
     assert_eq!(result(&mut call).unwrap().unwrap(), [1]);
     let _next = link.call(1, read(1));
     assert_eq!(link.next_action(), Action::Connect, "the connection has carried its one request");
+
+    // The two closes may have been by chance. It stayed so for ever.
+    for _ in 0..60 {
+        assert!(link.stats().one_request);
+        link.core.connected(link.now);
+    }
+    assert!(!link.stats().one_request);
+    assert_eq!(link.expect_send(), Code::LoopBack);
 }
 
 #[test]
