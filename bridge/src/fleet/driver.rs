@@ -402,6 +402,8 @@ impl Link {
             Self::Open(open) => {
                 let Open { bucket, watch, heard } = &mut **open;
                 tokio::select! {
+                    // An entry that has come is no silence, however late this task runs.
+                    biased;
                     why = bucket.lost() => Step::Lost(why),
                     seen = watch.next() => seen.map_or_else(Step::Lost, Step::Seen),
                     () = sleep_until(*heard + silence) => Step::Silent,
