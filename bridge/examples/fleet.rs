@@ -55,6 +55,13 @@ struct Args {
     serve: bool,
 }
 
+impl Args {
+    /// Number of PLCs that answer.
+    fn answering(&self) -> usize {
+        self.plcs - self.dead
+    }
+}
+
 /// The time for anything.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -68,6 +75,9 @@ struct Arrival {
 #[tokio::main]
 async fn main() -> Result<()> {
     let args = Args::parse();
+    if args.dead > args.plcs {
+        return Err(format!("--dead {}: there are {} PLCs", args.dead, args.plcs).into());
+    }
     if args.serve {
         return serve(args.plcs, args.dead).await;
     }
@@ -110,7 +120,7 @@ impl Bench {
 
     fn measure(mut self) -> Result<()> {
         let Args { plcs, dead, members, lease, every, .. } = self.args;
-        let answering = plcs.saturating_sub(dead);
+        let answering = self.args.answering();
         println!("{plcs} PLCs, of which {dead} do not answer, each {every}; {members} members; lease {lease}");
         let begin = Instant::now();
         for member in 0..members {
@@ -198,7 +208,7 @@ impl Bench {
         let mut process = Process(command.spawn()?);
         let stdout = process.0.stdout.take().ok_or("no stdout of the bridge")?;
         let arrivals = self.arrivals.0.clone();
-        let answering = self.args.plcs.saturating_sub(self.args.dead);
+        let answering = self.args.answering();
         std::thread::spawn(move || {
             for line in BufReader::new(stdout).lines().map_while(std::result::Result::ok) {
                 let name = line.split("\"plc\":\"plc_").nth(1).and_then(|rest| rest.split('"').next());
@@ -262,7 +272,7 @@ impl Bench {
         let number =
             |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>().parse::<usize>().ok();
         match line.split_once("plc_").map(|(_, rest)| number(rest)) {
-            Some(plc) => plc.is_some_and(|plc| plc >= self.args.plcs.saturating_sub(self.args.dead)),
+            Some(plc) => plc.is_some_and(|plc| plc >= self.args.answering()),
             None => {
                 let offline = line.split_once("answer: ").and_then(|(_, rest)| number(rest));
                 offline.is_some_and(|offline| offline <= self.args.dead)

@@ -154,12 +154,12 @@ impl Signals {
 
 /// The connections to the PLCs of a configuration.
 fn connections(bridge: &BridgeSection) -> PoolBuilder {
-    // The configuration is the limit of the PLCs. Those that do not answer keep no others waiting: there may be as many
-    // attempts at once as are begun until one is given up.
-    let per_second = bridge.connects_per_second;
-    let seconds = fatek::link::defaults::CONNECT_TIMEOUT.as_secs().saturating_add(1);
-    let at_once = usize::try_from(u64::from(per_second).saturating_mul(seconds)).unwrap_or(usize::MAX);
-    Pool::builder().max_endpoints(usize::MAX).connects_per_second(per_second).connects_at_once(at_once)
+    // The configuration is the limit of the PLCs. The rate is that of the attempts: with a limit of those at once, PLCs
+    // that do not answer would take all places.
+    Pool::builder()
+        .max_endpoints(usize::MAX)
+        .connects_at_once(usize::MAX)
+        .connects_per_second(bridge.connects_per_second)
 }
 
 /// Runs until SIGINT or SIGTERM, and then delivers what is in the buffer, for a limited time.

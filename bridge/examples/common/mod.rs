@@ -37,7 +37,7 @@ pub async fn serve(count: usize, dead: usize) -> Result<()> {
         plcs.push(plc);
     }
     let mut silent = Vec::new();
-    for _ in 0..dead.min(count) {
+    for _ in 0..dead {
         let socket = TcpSocket::new_v4()?;
         socket.bind(SocketAddr::from(([127, 0, 0, 1], 0)))?;
         let listener = socket.listen(1)?;

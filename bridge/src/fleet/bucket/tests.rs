@@ -5,7 +5,7 @@ use super::*;
 use crate::config::StoredPlant;
 
 #[path = "../../../tests/common/nats.rs"]
-#[allow(dead_code, unreachable_pub, missing_debug_implementations, reason = "it is shared with the integration tests")]
+#[allow(dead_code, unreachable_pub, reason = "it is shared with the integration tests")]
 mod nats;
 
 use nats::{NatsServer, PATIENCE};
