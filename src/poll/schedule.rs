@@ -58,7 +58,6 @@ pub(super) struct ClassSchedule {
     early: Option<Instant>,
     /// The begin of the last cycle.
     began_at: Option<Instant>,
-    is_running: bool,
     /// `true` if the last cycle was an early one.
     is_early: bool,
     /// `true` if there are tags without a reading.
@@ -122,17 +121,24 @@ impl LineSchedule {
 
 impl ClassSchedule {
     pub(super) fn new(due: Instant) -> Self {
-        Self { due, early: None, began_at: None, is_running: false, is_early: false, is_unread: false, failures: 0 }
+        Self { due, early: None, began_at: None, is_early: false, is_unread: false, failures: 0 }
     }
 
-    /// Tags were added, whose reading takes `time`.
-    pub(super) fn tags_added(&mut self, scan: &ScanClass, line: &LineSchedule, now: Instant, time: Duration) {
+    /// Tags were added, whose reading takes `time`. `is_running`: a cycle without them is running.
+    pub(super) fn tags_added(
+        &mut self,
+        scan: &ScanClass,
+        is_running: bool,
+        line: &LineSchedule,
+        now: Instant,
+        time: Duration,
+    ) {
         if scan.phase.is_some() {
             return;
         }
         (self.is_unread, self.failures) = (true, 0);
         let gathered = after(now, GATHERING_TIME);
-        let is_due_soon = self.due <= gathered && !self.is_running;
+        let is_due_soon = self.due <= gathered && !is_running;
         if self.early.is_some() || is_due_soon {
             return;
         }
@@ -145,13 +151,13 @@ impl ClassSchedule {
         self.early.map_or(self.due, |early| early.min(self.due))
     }
 
-    /// Begins a cycle. `None`: none is due, or one is running.
+    /// Begins a cycle, while none is running. `None`: none is due.
     pub(super) fn begin(&mut self, scan: &ScanClass, now: Instant) -> Option<Due> {
-        if self.is_running || self.next_due() > now {
+        if self.next_due() > now {
             return None;
         }
         let early = self.early.take().filter(|_| self.due > now);
-        (self.is_running, self.is_early, self.began_at) = (true, early.is_some(), Some(now));
+        (self.is_early, self.began_at) = (early.is_some(), Some(now));
         Some(match early {
             Some(at) => Due { at, overruns: 0 },
             // More than one due time has passed only if the task was not woken in time.
@@ -162,7 +168,6 @@ impl ClassSchedule {
     /// Ends a cycle. Returns the number of due times that it has overrun. `is_complete`: it has read all tags that it
     /// began with, or found them to be refused.
     pub(super) fn end(&mut self, scan: &ScanClass, now: Instant, is_complete: bool) -> u64 {
-        self.is_running = false;
         if is_complete {
             // Tags that were added meanwhile have an early time.
             (self.is_unread, self.failures) = (self.early.is_some(), 0);

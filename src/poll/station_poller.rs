@@ -141,7 +141,7 @@ impl StationPoller {
             }
             class.members.extend(tags.iter().map(|(id, _)| *id));
             class.plan = None;
-            class.schedule.tags_added(&scan, &self.line, now.instant, plan.time());
+            class.schedule.tags_added(&scan, class.cycle.is_some(), &self.line, now.instant, plan.time());
         }
         self.context.tag_map.extend(tags.into_iter().map(|(id, tag)| TagState::new(id, tag, group, now)));
         Ok(())
@@ -337,6 +337,9 @@ impl StationPoller {
     /// Begins a cycle of a class if it is due.
     fn begin(&mut self, index: usize, now: Stamp, samples: &mut Vec<Sample>) {
         let Some(class) = self.classes.get_mut(index) else { return };
+        if class.cycle.is_some() {
+            return;
+        }
         let Some(Due { at: due, overruns }) = class.schedule.begin(&class.scan, now.instant) else { return };
         class.stats.overruns = class.stats.overruns.saturating_add(overruns);
         // A single request for nothing but the tags is optimal at any cost.

@@ -89,7 +89,7 @@ fn an_early_cycle_without_values_replaces_no_due_time() {
     let line = line(now);
     let schedule = || {
         let mut schedule = ClassSchedule::new(now + ms(300));
-        schedule.tags_added(&class, &line, now, ms(5));
+        schedule.tags_added(&class, false, &line, now, ms(5));
         assert!(schedule.begin(&class, now + ms(100)).is_some());
         schedule
     };
@@ -109,9 +109,9 @@ fn tags_that_are_added_in_a_cycle_which_overruns_are_read_within_a_second_of_it(
     let (now, class) = (Instant::now(), ScanClass::every(ms(60_000)));
     let line = line(now);
     let mut schedule = ClassSchedule::new(now + ms(300));
-    schedule.tags_added(&class, &line, now, ms(5));
+    schedule.tags_added(&class, false, &line, now, ms(5));
     assert!(schedule.begin(&class, now + ms(100)).is_some());
-    schedule.tags_added(&class, &line, now + ms(200), ms(5));
+    schedule.tags_added(&class, true, &line, now + ms(200), ms(5));
     schedule.end(&class, now + ms(400), true);
     assert_eq!(schedule.next_due(), now + ms(1100));
     assert!(schedule.begin(&class, now + ms(1100)).is_some());
