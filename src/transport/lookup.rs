@@ -50,21 +50,25 @@ mod tests {
 
     use super::*;
 
-    /// With a dead name server, lookups of links that had given up took all threads of the runtime.
+    /// With a dead name server, lookups of links that had given up took all threads of the runtime. Seen with a permit
+    /// that the caller keeps: two are free while both threads go on.
     #[tokio::test]
     async fn a_lookup_that_hangs_counts_until_it_ends() {
         static LOOKUPS: Lookups = Lookups::new(2);
         let (mut ends, mut hanging) = (Vec::new(), Vec::new());
+        let (begins, mut begun) = tokio::sync::mpsc::unbounded_channel();
         for _ in 0..2 {
             let (end, ended) = mpsc::channel::<()>();
             ends.push(end);
+            let begins = begins.clone();
             hanging.push(tokio::spawn(LOOKUPS.run(move || {
+                let _ = begins.send(());
                 let _ = ended.recv();
                 Ok(())
             })));
         }
-        while LOOKUPS.permits.available_permits() > 0 {
-            tokio::task::yield_now().await;
+        for _ in 0..2 {
+            begun.recv().await.unwrap();
         }
         // Their callers give up.
         for task in hanging {
