@@ -3,9 +3,8 @@
 //!
 //! No search for frames, no comparison of fields, no counters, no allocation.
 
-use crc::{CRC_16_MODBUS, Crc, Table};
 use fatek::command::{MAX_POINTS, MAX_UNITS};
-use fatek::wire::Framing;
+use fatek::wire::{Framing, binary};
 
 /// Copies a frame. Returns whether its checksum is correct.
 pub(crate) fn copy_and_check(framing: Framing, frame: &[u8], copy: &mut [u8]) -> bool {
@@ -20,7 +19,7 @@ pub(crate) fn copy_and_check(framing: Framing, frame: &[u8], copy: &mut [u8]) ->
         // header, id, length … CRC, terminator
         _ => {
             let (body, tail) = copy.split_at(copy.len() - 4);
-            tail[..2] == CRC.checksum(&body[2..]).to_le_bytes()
+            tail[..2] == binary::crc(&body[2..]).to_le_bytes()
         }
     }
 }
@@ -61,5 +60,3 @@ fn values(framing: Framing, frame: &[u8]) -> &[u8] {
 }
 
 const DIGITS: [u8; 16] = *b"0123456789ABCDEF";
-
-static CRC: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);

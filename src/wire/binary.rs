@@ -13,13 +13,12 @@
 use std::io;
 
 use bytes::{BufMut, BytesMut};
-use crc::{CRC_16_MODBUS, Crc, Table};
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
 use super::frame::{Discard, EncodeError, Found, FoundFrame, Frame, MAX_FRAME_LEN, Received, Side};
 use super::framing::Framing;
-use super::{bulk, element_list};
+use super::{bulk, crc16, element_list};
 use crate::element::Element;
 
 /// The first byte of a query.
@@ -198,10 +197,8 @@ pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, dat
 /// CRC-16/MODBUS.
 #[must_use]
 pub fn crc(bytes: &[u8]) -> u16 {
-    CRC.checksum(bytes)
+    crc16::checksum(bytes)
 }
-
-static CRC: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MODBUS);
 
 /// Header, id and length.
 const HEAD: usize = 4;

@@ -14,6 +14,12 @@ pub mod ascii;
 pub mod binary;
 mod bulk;
 mod codec;
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::indexing_slicing,
+    reason = "indexes of its own words; a test compares all lengths up to 1500"
+)]
+mod crc16;
 mod element_list;
 mod field;
 mod frame;
