@@ -59,6 +59,7 @@ pub(crate) struct Driver {
     /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
     state: Arc<SharedLinkState>,
+    /// Wakes the task that runs.
     io_waker: Arc<IoWaker>,
     /// A waker of `io_waker`.
     waker: Waker,
@@ -132,7 +133,7 @@ impl Driver {
         send_gate: Option<SendGate>,
         state: Arc<SharedLinkState>,
     ) -> Self {
-        let io_waker = Arc::new(IoWaker::default());
+        let io_waker = Arc::new(IoWaker::noop());
         Self {
             core,
             connector,
@@ -194,9 +195,17 @@ impl Driver {
         self.orphaned = true;
     }
 
-    /// The waker of the link's task.
+    /// Wakes the task that runs.
     pub(crate) fn io_waker(&self) -> &Arc<IoWaker> {
         &self.io_waker
+    }
+
+    /// Sets the waker for everything that [`advance`](Self::advance) waits for from now on.
+    pub(crate) fn set_io_waker(&mut self, io_waker: IoWaker) {
+        self.io_waker = Arc::new(io_waker);
+        self.waker = Waker::from(self.io_waker.clone());
+        // The stream has the waker from before.
+        self.read_armed = false;
     }
 
     /// The context in which the task polls its timer.

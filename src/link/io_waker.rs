@@ -4,36 +4,41 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Wake, Waker};
 
-use futures::task::AtomicWaker;
-
-/// Wakes the link's task.
+/// Wakes a link's task.
 ///
-/// Sockets and timers of the driver wake it as a [`Waker`](std::task::Waker), which sets the ready
-/// flag; callers use [`wake_task`](Self::wake_task), which does not. If the flag is clear, the
-/// socket has no unread data, and the driver skips the read.
+/// Sockets and timers of the driver wake it as a [`Waker`], which sets the ready flag; callers use
+/// [`wake_task`](Self::wake_task), which does not. If the flag is clear, the socket has no unread
+/// data, and the driver skips the read.
+///
+/// Each task of a link has its own, made by its first poll. So no lock and no exchange of wakers is
+/// needed to wake it.
 ///
 /// Invariant: no I/O event has come since the last [`clear_ready`](Self::clear_ready) and the read
 /// after it, unless the flag is set again.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct IoWaker {
-    task: AtomicWaker,
+    task: Waker,
     ready: AtomicBool,
 }
 
 impl IoWaker {
-    /// Registers the task to be woken.
-    pub(crate) fn register(&self, task: &Waker) {
-        self.task.register(task);
+    pub(crate) fn new(task: &Waker) -> Self {
+        Self { task: task.clone(), ready: AtomicBool::new(false) }
     }
 
-    /// Removes the task: a waker keeps its task's memory alive.
-    pub(crate) fn unregister(&self) {
-        drop(self.task.take());
+    /// The waker of no task: none runs.
+    pub(crate) fn noop() -> Self {
+        Self::new(Waker::noop())
+    }
+
+    /// Returns whether it wakes this task.
+    pub(crate) fn wakes(&self, task: &Waker) -> bool {
+        self.task.will_wake(task)
     }
 
     /// Wakes the task without setting the flag.
     pub(crate) fn wake_task(&self) {
-        self.task.wake();
+        self.task.wake_by_ref();
     }
 
     /// Returns whether an I/O event has come since the flag was cleared.
@@ -49,7 +54,10 @@ impl IoWaker {
 
     /// Clears the flag. The caller must read after this, not before.
     pub(crate) fn clear_ready(&self) {
-        self.ready.swap(false, Ordering::AcqRel);
+        // Mostly it is clear, and then nothing must be ordered before the read.
+        if self.is_ready() {
+            self.ready.swap(false, Ordering::AcqRel);
+        }
     }
 }
 
@@ -79,12 +87,12 @@ mod tests {
 
     #[test]
     fn io_sets_the_ready_flag_and_a_callers_wake_up_does_not() {
-        let (io_waker, woken) = (Arc::new(IoWaker::default()), Arc::new(Count::default()));
+        let woken = Arc::new(Count::default());
+        let task = Waker::from(woken.clone());
+        let io_waker = Arc::new(IoWaker::new(&task));
+        assert!(io_waker.wakes(&task) && !IoWaker::noop().wakes(&task));
         let waker = Waker::from(io_waker.clone());
-        let wakes = |times| {
-            assert_eq!(woken.0.load(Ordering::Relaxed), times);
-            io_waker.register(&Waker::from(woken.clone()));
-        };
+        let wakes = |times| assert_eq!(woken.0.load(Ordering::Relaxed), times);
         wakes(0);
         io_waker.wake_task();
         assert!(!io_waker.is_ready());
@@ -97,9 +105,7 @@ mod tests {
         waker.wake();
         assert!(io_waker.is_ready());
         wakes(3);
-        io_waker.unregister();
+        drop((task, io_waker));
         assert_eq!(Arc::strong_count(&woken), 1, "no waker of the task is kept");
-        io_waker.wake_task();
-        wakes(3);
     }
 }

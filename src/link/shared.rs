@@ -33,7 +33,7 @@ use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
 use std::panic::{AssertUnwindSafe, RefUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::task::{Context, Poll};
 
@@ -54,8 +54,8 @@ pub(crate) struct Shared {
     posted: AtomicBool,
     /// `None` once the task has ended.
     slot: Mutex<Option<Box<DriverSlot>>>,
-    /// Wakes the task.
-    io_waker: Arc<IoWaker>,
+    /// That of the driver: the task is woken without the driver's lock.
+    io_waker: Mutex<Arc<IoWaker>>,
     started: AtomicBool,
     /// No new calls are accepted.
     closed: AtomicBool,
@@ -77,7 +77,7 @@ struct DriverSlot {
 
 impl Shared {
     pub(crate) fn new(driver: Driver) -> Self {
-        let io_waker = driver.io_waker().clone();
+        let io_waker = Mutex::new(driver.io_waker().clone());
         Self {
             inbox: Mutex::default(),
             posted: AtomicBool::new(false),
@@ -104,7 +104,7 @@ impl Shared {
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::SeqCst);
         if self.is_started(true) {
-            self.io_waker.wake_task();
+            self.wake_task();
         } else {
             // A task that was never started has nothing to finish.
             self.end();
@@ -114,7 +114,21 @@ impl Shared {
     /// Ends the link: the last handle was dropped.
     pub(crate) fn orphan(&self) {
         self.orphaned.store(true, Ordering::Release);
-        self.io_waker.wake_task();
+        self.wake_task();
+    }
+
+    /// Wakes the task, if one runs.
+    fn wake_task(&self) {
+        // Not under the lock: a waker may run any code.
+        let io_waker = lock(&self.io_waker).clone();
+        io_waker.wake_task();
+    }
+
+    /// Sets the waker of the driver's I/O, and that of the task.
+    fn set_io_waker(&self, driver: &mut Driver, task: IoWaker) {
+        driver.set_io_waker(task);
+        let before = std::mem::replace(&mut *lock(&self.io_waker), driver.io_waker().clone());
+        drop(before);
     }
 
     /// Declares capabilities of a station.
@@ -143,14 +157,14 @@ impl Shared {
         });
         drop(slot);
         if needs_task {
-            self.io_waker.wake_task();
+            self.wake_task();
         }
         self.drain_inbox();
     }
 
     /// Empties the inbox, unless another thread has the driver: that one empties it.
     pub(crate) fn drain_inbox(&self) {
-        while !lock(&self.inbox).is_empty() {
+        while self.has_posted() {
             let mut slot = match self.slot.try_lock() {
                 Ok(slot) => slot,
                 Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -160,7 +174,7 @@ impl Shared {
             let needs_task = slot.as_mut().is_some_and(|slot| slot.serve(None, calls, Instant::now()));
             drop(slot);
             if needs_task {
-                self.io_waker.wake_task();
+                self.wake_task();
             }
         }
     }
@@ -171,10 +185,19 @@ impl Shared {
         self.posted.store(true, Ordering::Release);
     }
 
+    /// Returns whether the inbox has a call. Asked after the driver's lock was released, or was found
+    /// taken: of a caller that posts and one that has the driver at least one sees the call.
+    fn has_posted(&self) -> bool {
+        // Between the release of the lock and the look at the flag here, and between the flag and the
+        // attempt to lock in `submit`. Without it either could come too early for the other.
+        fence(Ordering::SeqCst);
+        self.posted.load(Ordering::Acquire)
+    }
+
     /// Takes all calls from the inbox.
     ///
-    /// A call that is posted at the same moment may be missed. [`drain_inbox`](Self::drain_inbox)
-    /// and the task check again under the inbox's lock.
+    /// A call that is posted at the same moment may be missed: [`has_posted`](Self::has_posted) finds
+    /// it after the driver's lock was released.
     fn take_inbox(&self) -> Option<VecDeque<PendingCall>> {
         if !self.posted.load(Ordering::Acquire) {
             return None;
@@ -203,10 +226,14 @@ impl Shared {
     }
 
     fn poll(&self, cx: &mut Context<'_>, mut timer: Pin<&mut Sleep>) -> Poll<TaskStatus> {
-        self.io_waker.register(cx.waker());
         loop {
             let mut guard = lock(&self.slot);
             let Some(slot) = guard.as_mut() else { return Poll::Ready(TaskStatus::Ended) };
+            if !slot.driver.io_waker().wakes(cx.waker()) {
+                self.set_io_waker(&mut slot.driver, IoWaker::new(cx.waker()));
+                // The timer has the waker from before.
+                slot.timer = None;
+            }
             if let Some(panic) = slot.panic.take() {
                 drop(guard);
                 resume_unwind(panic);
@@ -245,7 +272,7 @@ impl Shared {
                 }
             }
             drop(guard);
-            if lock(&self.inbox).is_empty() {
+            if !self.has_posted() {
                 return Poll::Pending;
             }
         }
@@ -269,14 +296,13 @@ impl Shared {
             return false;
         }
         slot.timer = None;
-        // A waker keeps the memory of its task, and with it that of the runtime. Removed before
-        // another task can start and register its own.
-        self.io_waker.unregister();
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
         let inbox = std::mem::take(&mut *lock(&self.inbox));
         inbox.into_iter().for_each(|call| slot.driver.push(call, Instant::now()));
         slot.driver.runtime_ended();
+        // A waker keeps the memory of its task, and with it that of the runtime.
+        self.set_io_waker(&mut slot.driver, IoWaker::noop());
         drop(guard);
         // Closed in the meantime, by a caller that took the task for running: that has to end it
         // now.
@@ -290,8 +316,8 @@ impl Shared {
         if let Some(slot) = slot {
             slot.driver.finish();
         }
-        // A waker keeps the memory of its task, and with it that of the runtime.
-        self.io_waker.unregister();
+        let before = std::mem::replace(&mut *lock(&self.io_waker), Arc::new(IoWaker::noop()));
+        drop(before);
         // Dropping the calls ends them with the right error. The driver's lock was released before,
         // so a call that is posted later finds it free.
         drop(std::mem::take(&mut *lock(&self.inbox)));

@@ -25,7 +25,7 @@ async fn the_task_sends_a_call_that_found_the_driver_busy() {
         assert!(call.as_mut().now_or_never().is_none());
     }
     assert_eq!(lock(&link.inner.shared.inbox).len(), 1, "it was not sent");
-    link.inner.shared.io_waker.wake_task();
+    link.inner.shared.wake_task();
     assert_eq!(call.await.expect("the task takes it"), [0]);
 }
 

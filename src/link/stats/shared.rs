@@ -64,9 +64,10 @@ impl SharedStats {
         count(&mut self.lock().link);
     }
 
-    /// Adds to the time in which the line was in use.
+    /// Adds to the time in which the line was in use. Only the core adds, one thread at a time.
     pub(crate) fn add_bus_time(&self, time: Duration) {
-        self.bus_time.fetch_add(nanoseconds(time), Ordering::Relaxed);
+        let before = self.bus_time.load(Ordering::Relaxed);
+        self.bus_time.store(before.saturating_add(nanoseconds(time)), Ordering::Relaxed);
     }
 
     pub(crate) fn count_station(&self, station: u8, count: impl FnOnce(&mut StationStats)) {
