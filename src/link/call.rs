@@ -8,7 +8,7 @@
 //! Caller and link share one allocation, the slot. The caller holds it as a [`CallFuture`], the
 //! link as a [`PendingCall`]. The link sees the slot as [`AnyCall`], without the type of the
 //! request; the scheduler needs its [`CallMeta`] only. [`spares`] keeps the slots of ended
-//! calls for later ones.
+//! calls for later ones, with the timers of their deadlines.
 //!
 //! Invariants:
 //! - A call ends once: the first result stays.
@@ -28,7 +28,6 @@ use std::time::Duration;
 use bytes::BytesMut;
 use tokio::time::Instant;
 
-pub(crate) use self::deadline::{TimerInUse, ended_by};
 pub(crate) use self::slot::CallFuture;
 use self::slot::CallSlot;
 use super::in_step::{Kind, Proof, Shape, Spelled};
@@ -264,13 +263,13 @@ pub(crate) fn new<C: Command>(
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = options.retries_for(C::CODE.class());
     let check_retries_left = options.retries.saturating_sub(retries_left);
-    let slot = match spares::take::<C>() {
-        None => Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)),
-        Some(mut spare) => match Arc::get_mut(&mut spare) {
-            None => Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)),
+    let (slot, timer) = match spares::take::<C>() {
+        None => (Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)), None),
+        Some((mut spare, timer)) => match Arc::get_mut(&mut spare) {
+            None => (Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)), None),
             Some(slot) => {
                 slot.begin(request, implied_reply, meta.station, sending);
-                spare
+                (spare, timer)
             }
         },
     };
@@ -284,7 +283,7 @@ pub(crate) fn new<C: Command>(
         check_retries_left,
         cause: None,
     };
-    (call, CallFuture::new(slot))
+    (call, CallFuture::new(slot, timer))
 }
 
 /// Locks a mutex. Poisoning is ignored: each of these mutexes holds a complete value at all times.

@@ -60,7 +60,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::runtime::{Handle, TryCurrentError};
+use tokio::runtime::{Handle, Id, TryCurrentError};
 use tokio::sync::watch;
 use tokio::task::{consume_budget, yield_now};
 use tokio::time::Instant;
@@ -332,8 +332,8 @@ impl Link {
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
         let checked = request.check(self.framing()).map_err(Error::from);
-        let mut timer = match checked.and_then(|()| self.prepare(deadline)) {
-            Ok(timer) => timer,
+        let runtime = match checked.and_then(|()| self.prepare()) {
+            Ok(runtime) => runtime,
             Err(error) => return CallOutcome::none(Err(error), request.plain()),
         };
         let meta = CallMeta {
@@ -368,7 +368,7 @@ impl Link {
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut ended = call::ended_by(&mut future, &mut timer, deadline).await;
+        let mut ended = future.ended_by(deadline, runtime).await;
         // This process may have been stopped until now, with the reply in the socket: the runtime
         // looks for events, and then the link's task reads it.
         for _ in 0..LOOKS_AT_DEADLINE {
@@ -421,16 +421,17 @@ impl Link {
         Error::Connect { endpoint: self.inner.name.to_string(), source, sent }
     }
 
-    /// Takes the timer of a call, and starts the task if it does not run.
+    /// Starts the task if it does not run. Returns the caller's runtime.
     ///
     /// # Errors
-    /// [`Error::Connect`]: the caller is in no runtime. A started task does not need it, but the timer does.
-    fn prepare(&self, deadline: Instant) -> Result<call::TimerInUse, Error> {
-        let timer = call::TimerInUse::take(deadline).map_err(|error| self.no_runtime(error))?;
+    /// [`Error::Connect`]: the caller is in no runtime. A started task does not need it, but the timer of a
+    /// call does.
+    fn prepare(&self) -> Result<Id, Error> {
+        let runtime = Handle::try_current().map_err(|error| self.no_runtime(error))?.id();
         if !self.inner.shared.is_started(false) {
             self.start()?;
         }
-        Ok(timer)
+        Ok(runtime)
     }
 
     /// Starts the task with the first call, and with the first one after its runtime has ended.

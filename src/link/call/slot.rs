@@ -4,7 +4,7 @@
 //! future reads `DONE` with `Acquire`. `proof` is stored before `DONE`, too, so `Relaxed` suffices
 //! for it.
 
-use std::future::Future;
+use std::future::{Future, poll_fn};
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,9 +12,10 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use bytes::BytesMut;
-use futures::task::AtomicWaker;
+use tokio::runtime::Id;
 use tokio::time::Instant;
 
+use super::deadline::{CallTask, CallTimer};
 use super::{AnyCall, Sending, lock, spares};
 use crate::command::{self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
@@ -25,12 +26,14 @@ use crate::wire::{FieldError, Framing};
 #[derive(Debug)]
 pub(crate) struct CallFuture<C: Command> {
     slot: Arc<CallSlot<C>>,
+    /// The timer of the deadline, or the one that the slot was kept with.
+    timer: Option<Box<CallTimer>>,
     replied_at: Option<Instant>,
 }
 
 impl<C: Command> CallFuture<C> {
-    pub(super) fn new(slot: Arc<CallSlot<C>>) -> Self {
-        Self { slot, replied_at: None }
+    pub(super) fn new(slot: Arc<CallSlot<C>>, timer: Option<Box<CallTimer>>) -> Self {
+        Self { slot, timer, replied_at: None }
     }
 
     /// Gives the call up. Returns whether the request, or a part of it, has been sent; if not, it
@@ -39,20 +42,27 @@ impl<C: Command> CallFuture<C> {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
 
-    /// Waits for the end of the call: [`take_result`](Self::take_result) has its result then. A result
-    /// may be large, so it is moved once.
-    pub(crate) fn poll_ended(&mut self, cx: &mut Context<'_>) -> Poll<()> {
-        if self.has_ended() {
-            return Poll::Ready(());
-        }
-        self.slot.waker.register(cx.waker());
-        // Checked again: the call may have ended before the waker was registered, and have woken no
-        // task.
-        if self.has_ended() { Poll::Ready(()) } else { Poll::Pending }
+    /// Waits until the call has ended or its deadline has passed. Returns whether it has ended:
+    /// [`take_result`](Self::take_result) has its result then. A result may be large, so it is moved
+    /// once. The caller runs on this runtime.
+    pub(crate) async fn ended_by(&mut self, deadline: Instant, runtime: Id) -> bool {
+        let task = &self.slot.task;
+        let mut timer = match self.timer.take().filter(|timer| timer.runtime() == runtime) {
+            Some(timer) => timer,
+            None => Box::new(CallTimer::new(deadline, runtime, task.clone())),
+        };
+        timer.begin(deadline);
+        let timer = self.timer.insert(timer);
+        let slot = &self.slot;
+        poll_fn(|cx| match slot.poll_ended(cx) {
+            Poll::Ready(()) => Poll::Ready(true),
+            Poll::Pending => timer.poll(deadline).map(|()| false),
+        })
+        .await
     }
 
     pub(crate) fn has_ended(&self) -> bool {
-        self.slot.state.load(Ordering::Acquire) & DONE != 0
+        self.slot.has_ended()
     }
 
     /// Takes the result of a call that has ended. A result that was taken already is an error rather
@@ -91,15 +101,14 @@ impl<C: Command> CallFuture<C> {
         Proof { proofs: u32::from_be_bytes([p0, p1, p2, p3]), doubts: u32::from_be_bytes([d0, d1, d2, d3]) }
     }
 
-    /// Leaves the slot to a later call if this one has ended.
-    pub(crate) fn recycle(self) {
-        let has_ended = self.has_ended();
-        let slot = self.slot.clone();
-        drop(self);
-        if has_ended {
-            // A waker keeps its task's memory alive.
-            drop(slot.waker.take());
-            spares::keep(slot);
+    /// Leaves slot and timer to a later call if this one has ended.
+    pub(crate) fn recycle(mut self) {
+        if self.has_ended() {
+            let (slot, timer) = (self.slot.clone(), self.timer.take());
+            // `keep` wants a slot that has no other holder.
+            drop(self);
+            // The wake-up at the end of the call has taken the waker.
+            spares::keep(slot, timer);
         }
     }
 }
@@ -109,13 +118,15 @@ impl<C: Command> Future for CallFuture<C> {
     type Output = Result<C::Reply, Error>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        self.poll_ended(cx).map(|()| self.take_result())
+        self.slot.poll_ended(cx).map(|()| self.take_result())
     }
 }
 
 impl<C: Command> Drop for CallFuture<C> {
     fn drop(&mut self) {
-        self.abandon();
+        if !self.has_ended() {
+            self.abandon();
+        }
     }
 }
 
@@ -137,7 +148,7 @@ pub(super) struct CallSlot<C: Command> {
     /// Traffic received instead of the reply.
     seen: Mutex<Seen>,
     result: Mutex<CallResult<C>>,
-    waker: AtomicWaker,
+    task: Arc<CallTask>,
 }
 
 /// The result of a call. A reply may be large, so it is moved as rarely as possible.
@@ -176,11 +187,11 @@ impl<C: Command> CallSlot<C> {
             proof: AtomicU64::new(0),
             seen: Mutex::default(),
             result: Mutex::new(CallResult::NONE),
-            waker: AtomicWaker::new(),
+            task: Arc::default(),
         }
     }
 
-    /// Reuses the slot of a call that has ended; its waker was taken in [`CallFuture::recycle`].
+    /// Reuses the slot of a call that has ended.
     pub(super) fn begin(&mut self, request: C, implied_reply: Option<C::Reply>, station: u8, sending: Sending) {
         self.request = Some(request);
         self.implied_reply = implied_reply;
@@ -225,7 +236,26 @@ impl<C: Command> CallSlot<C> {
 
     fn done(&self) {
         self.state.fetch_or(DONE, Ordering::AcqRel);
-        self.waker.wake();
+        self.task.wake();
+    }
+
+    fn has_ended(&self) -> bool {
+        self.state.load(Ordering::Acquire) & DONE != 0
+    }
+
+    /// Waits for the end of the call.
+    fn poll_ended(&self, cx: &Context<'_>) -> Poll<()> {
+        if self.has_ended() {
+            return Poll::Ready(());
+        }
+        self.task.register(cx.waker());
+        // Checked again: the call may have ended before the waker was registered, and have woken no
+        // task.
+        if self.has_ended() {
+            self.task.clear();
+            return Poll::Ready(());
+        }
+        Poll::Pending
     }
 }
 
