@@ -93,8 +93,32 @@ pub(crate) fn decode_spelled<C: Command>(
     data: &[u8],
 ) -> Result<C::Reply, ReplyError> {
     match framing {
-        Framing::Ascii => read_reply(request, spelling, || AsciiReader::new(data)),
-        Framing::Binary => read_reply(request, spelling, || BinaryReader::new(data)),
+        Framing::Ascii => {
+            read_reply(spelling, || AsciiReader::new(data), |fields| request.read_spelled(spelling, fields))
+        }
+        Framing::Binary => {
+            read_reply(spelling, || BinaryReader::new(data), |fields| request.read_spelled(spelling, fields))
+        }
+    }
+}
+
+/// As [`decode_spelled`], with a place for the reply. It holds a reply only if this returns `Ok`.
+pub(crate) fn decode_spelled_into<C: Command>(
+    request: &C,
+    spelling: Spelling,
+    framing: Framing,
+    data: &[u8],
+    reply: &mut Option<C::Reply>,
+) -> Result<(), ReplyError> {
+    match framing {
+        Framing::Ascii => {
+            let read = |fields: &mut _| request.read_spelled_into(spelling, fields, reply);
+            read_reply(spelling, || AsciiReader::new(data), read)
+        }
+        Framing::Binary => {
+            let read = |fields: &mut _| request.read_spelled_into(spelling, fields, reply);
+            read_reply(spelling, || BinaryReader::new(data), read)
+        }
     }
 }
 
@@ -155,33 +179,33 @@ pub(super) fn write_reply<C: Command, W: FieldWriter>(
     }
 }
 
-fn read_reply<C: Command, R: FieldReader>(
-    request: &C,
+/// Reads a reply, of which `read` reads the fields behind the error code.
+fn read_reply<R: FieldReader, T>(
     spelling: Spelling,
     fields: impl Fn() -> R,
-) -> Result<C::Reply, ReplyError> {
+    mut read: impl FnMut(&mut R) -> Result<T, FieldError>,
+) -> Result<T, ReplyError> {
     match spelling.code.error_field() {
-        ErrorField::Leading => read_with_error(request, spelling, &mut fields()),
+        ErrorField::Leading => read_with_error(&mut fields(), &mut read),
         // The echo first. A PLC may refuse a loop-back with an error digit, and the digit may also
         // be the echo.
-        ErrorField::Absent => match read_without_error(request, spelling, &mut fields()) {
+        ErrorField::Absent => match read_without_error(&mut fields(), &mut read) {
             Err(ReplyError::Mismatch(mismatch)) => refused(&mut fields(), mismatch),
             result => result,
         },
-        ErrorField::ByLength => match read_with_error(request, spelling, &mut fields()) {
-            Err(ReplyError::Mismatch(_)) => read_without_error(request, spelling, &mut fields()),
+        ErrorField::ByLength => match read_with_error(&mut fields(), &mut read) {
+            Err(ReplyError::Mismatch(_)) => read_without_error(&mut fields(), &mut read),
             result => result,
         },
     }
 }
 
-fn read_with_error<C: Command>(
-    request: &C,
-    spelling: Spelling,
-    fields: &mut impl FieldReader,
-) -> Result<C::Reply, ReplyError> {
+fn read_with_error<R: FieldReader, T>(
+    fields: &mut R,
+    read: &mut impl FnMut(&mut R) -> Result<T, FieldError>,
+) -> Result<T, ReplyError> {
     match ErrorCode::from_u8(fields.code().map_err(ReplyError::Mismatch)?) {
-        None => read_without_error(request, spelling, fields),
+        None => read_without_error(fields, read),
         Some(error) => {
             // No data follows an error code.
             fields.finish()?;
@@ -190,12 +214,11 @@ fn read_with_error<C: Command>(
     }
 }
 
-fn read_without_error<C: Command>(
-    request: &C,
-    spelling: Spelling,
-    fields: &mut impl FieldReader,
-) -> Result<C::Reply, ReplyError> {
-    let reply = request.read_spelled(spelling, fields)?;
+fn read_without_error<R: FieldReader, T>(
+    fields: &mut R,
+    read: &mut impl FnMut(&mut R) -> Result<T, FieldError>,
+) -> Result<T, ReplyError> {
+    let reply = read(fields)?;
     fields.finish()?;
     Ok(reply)
 }

@@ -45,7 +45,7 @@ pub use consecutive::ConsecutiveElement;
 pub use control::DiscreteControl;
 pub use forwarded_reply::ForwardedReply;
 pub use framing::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
-pub(crate) use framing::{decode_spelled, encode_spelled};
+pub(crate) use framing::{decode_spelled_into, encode_spelled};
 pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
 pub(crate) use limits::{RequestLengths, check_range, most_in_one_request};
 pub use program::{PAGE_WORDS, ProgramPage};
@@ -168,6 +168,19 @@ pub trait Command: Clone + fmt::Debug + fmt::Display + Send + Sync + sealed::Sea
     #[doc(hidden)]
     fn read_spelled<R: FieldReader>(&self, _spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
         self.read_reply(fields)
+    }
+
+    /// As `read_spelled`, with a place for the reply, which may have an earlier one: a large reply need
+    /// not be moved. The place is not to be used after an error.
+    #[doc(hidden)]
+    fn read_spelled_into<R: FieldReader>(
+        &self,
+        spelling: Spelling,
+        fields: &mut R,
+        reply: &mut Option<Self::Reply>,
+    ) -> Result<(), FieldError> {
+        *reply = Some(self.read_spelled(spelling, fields)?);
+        Ok(())
     }
 
     /// A number for the shape of the positive reply: equal for requests of one command that take

@@ -15,6 +15,12 @@ pub(crate) struct ArrayVec<T, const N: usize> {
     values: [T; N],
 }
 
+impl<T: Copy + Default, const N: usize> ArrayVec<T, N> {
+    fn empty() -> Self {
+        Self { len: 0, values: [T::default(); N] }
+    }
+}
+
 impl<T, const N: usize> ArrayVec<T, N> {
     pub(crate) fn as_slice(&self) -> &[T] {
         let values = self.values.get(..self.len);
@@ -83,14 +89,18 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
     }
 
     fn read_spelled<R: FieldReader>(&self, spelling: Spelling, fields: &mut R) -> Result<Self::Reply, FieldError> {
-        let (named, asked) = (usize::from(spelling.count), spelling.count_behind());
-        let mut reply = ArrayVec { len: asked.min(self.0.len()), values: [ValueOf::<C>::default(); N] };
-        let values = reply.values.get_mut(..named).ok_or(FieldError::WrongLength)?;
-        C::Element::read(fields, values)?;
-        if named > asked {
-            values.rotate_left(named - asked);
-        }
+        let mut reply = ArrayVec::empty();
+        self.fill(&mut reply, spelling, fields)?;
         Ok(reply)
+    }
+
+    fn read_spelled_into<R: FieldReader>(
+        &self,
+        spelling: Spelling,
+        fields: &mut R,
+        reply: &mut Option<Self::Reply>,
+    ) -> Result<(), FieldError> {
+        self.fill(reply.get_or_insert_with(ArrayVec::empty), spelling, fields)
     }
 
     fn reply_size(&self, spelling: Spelling, framing: Framing) -> u32 {
@@ -99,6 +109,26 @@ impl<C: Consecutive, const N: usize> Command for StackReply<C, N> {
 
     fn run(&self) -> Option<Run> {
         self.0.run()
+    }
+}
+
+impl<C: Consecutive, const N: usize> StackReply<C, N> {
+    /// Replaces the values of a reply. After an error it has none.
+    fn fill<R: FieldReader>(
+        &self,
+        reply: &mut ArrayVec<ValueOf<C>, N>,
+        spelling: Spelling,
+        fields: &mut R,
+    ) -> Result<(), FieldError> {
+        reply.len = 0;
+        let (named, asked) = (usize::from(spelling.count), spelling.count_behind());
+        let values = reply.values.get_mut(..named).ok_or(FieldError::WrongLength)?;
+        C::Element::read(fields, values)?;
+        if named > asked {
+            values.rotate_left(named - asked);
+        }
+        reply.len = asked.min(self.0.len());
+        Ok(())
     }
 }
 

@@ -320,15 +320,27 @@ impl Link {
     }
 
     /// Makes a call, and waits for its result.
-    // All arguments are moved on before the first await: this future is part of the caller's, of
-    // which there may be thousands.
-    pub(crate) async fn submit<C: Command>(
+    pub(crate) fn submit<C: Command>(
         &self,
         station: u8,
         request: C,
         purpose: Purpose<C>,
         options: CallOptions,
-    ) -> CallOutcome<C::Reply> {
+    ) -> impl Future<Output = CallOutcome<C::Reply>> {
+        self.submit_with(station, request, purpose, options, Option::take)
+    }
+
+    /// Makes a call, and waits for its result; `take` takes the reply, where it was decoded.
+    // All arguments are moved on before the first await: this future is part of the caller's, of
+    // which there may be thousands.
+    pub(crate) async fn submit_with<C: Command, T>(
+        &self,
+        station: u8,
+        request: C,
+        purpose: Purpose<C>,
+        options: CallOptions,
+        take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
+    ) -> CallOutcome<T> {
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
         let checked = request.check(self.framing()).map_err(Error::from);
@@ -381,7 +393,7 @@ impl Link {
         drop(span);
         let spelling = future.spelling();
         let result = if ended {
-            future.take_result()
+            future.take_result(take)
         } else {
             future.abandon();
             Err(future.unanswered(queued_at.elapsed()))

@@ -68,9 +68,8 @@ where
         into.iter_mut().skip(from).zip(values).for_each(|(place, &value)| *place = value);
     };
     if (1..=most).contains(&count) {
-        let reply = station.call(StackReply::<C, N>(request(first, count)?)).await?;
-        copy(0, reply.as_slice());
-        return Ok(());
+        let request = StackReply::<C, N>(request(first, count)?);
+        return station.call_with(request, |reply| Some(copy(0, reply.as_ref()?.as_slice()))).await;
     }
     check_range(C::CODE, first.into(), count, station.link.framing())?;
     let mut job = StationJob::new(station);

@@ -165,6 +165,15 @@ impl Station {
         self.link.submit(self.number, request, Purpose::Whole, self.options).await.result
     }
 
+    /// As [`call`](Self::call); `take` takes the reply, where it was decoded.
+    pub(crate) async fn call_with<C: Command, T>(
+        &self,
+        request: C,
+        take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
+    ) -> Result<T, Error> {
+        self.link.submit_with(self.number, request, Purpose::Whole, self.options, take).await.result
+    }
+
     /// Makes a call for this purpose, and returns its result and proof.
     pub(crate) fn submit<C: Command>(
         &self,

@@ -65,13 +65,14 @@ impl<C: Command> CallFuture<C> {
         self.slot.has_ended()
     }
 
-    /// Takes the result of a call that has ended. A result that was taken already is an error rather
-    /// than a panic.
+    /// Takes the result of a call that has ended; `take` takes the reply. A result that was taken already
+    /// is an error rather than a panic.
     #[inline]
-    pub(crate) fn take_result(&mut self) -> Result<C::Reply, Error> {
+    pub(crate) fn take_result<T>(&mut self, take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>) -> Result<T, Error> {
         let mut slot = lock(&self.slot.result);
-        self.replied_at = slot.at.take();
-        slot.result.take().unwrap_or(Err(Error::Closed { sent: true }))
+        let CallResult { result, reply, at } = &mut *slot;
+        self.replied_at = at.take();
+        result.take().transpose()?.and_then(|()| take(reply)).ok_or(Error::Closed { sent: true })
     }
 
     /// The error of the call if it ends without a reply after this time.
@@ -118,7 +119,7 @@ impl<C: Command> Future for CallFuture<C> {
     type Output = Result<C::Reply, Error>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        self.slot.poll_ended(cx).map(|()| self.take_result())
+        self.slot.poll_ended(cx).map(|()| self.take_result(Option::take))
     }
 }
 
@@ -151,17 +152,19 @@ pub(super) struct CallSlot<C: Command> {
     task: Arc<CallTask>,
 }
 
-/// The result of a call. A reply may be large, so it is moved as rarely as possible.
+/// The result of a call. A reply may be large: it is decoded here, and the caller takes it from here.
 #[derive(Debug)]
 struct CallResult<C: Command> {
-    /// `None` before the call has ended, and after the result was taken.
-    result: Option<Result<C::Reply, Error>>,
+    /// `None` before the call has ended, and after the result was taken. `Ok`: `reply` is the result.
+    result: Option<Result<(), Error>>,
+    /// Otherwise anything: a reply that was retracted, or the one of an earlier call.
+    reply: Option<C::Reply>,
     /// When the reply came, if there was one.
     at: Option<Instant>,
 }
 
 impl<C: Command> CallResult<C> {
-    const NONE: Self = Self { result: None, at: None };
+    const NONE: Self = Self { result: None, reply: None, at: None };
 }
 
 /// Bits of the state. A call that is neither done nor abandoned is queued or on the wire.
@@ -216,22 +219,20 @@ impl<C: Command> CallSlot<C> {
         self.request = None;
     }
 
-    /// Ends the call with this result, unless it has ended: the first result stays.
-    fn finish(&self, result: Result<C::Reply, Error>, at: Option<Instant>) {
-        if self.hold(result, at) {
-            self.done();
-        }
-    }
-
-    /// Stores a result that may still be taken back. Returns `false` if the call has ended.
-    fn hold(&self, result: Result<C::Reply, Error>, at: Option<Instant>) -> bool {
+    /// Stores a result that may still be taken back, unless the call has ended: the first result stays.
+    /// Returns `false` if it has.
+    fn hold(&self, store: impl FnOnce(&mut CallResult<C>)) -> bool {
         let mut slot = lock(&self.result);
-        let wanted = self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0;
+        let wanted = self.is_wanted();
         if wanted {
-            slot.result = Some(result);
-            slot.at = at;
+            store(&mut slot);
         }
         wanted
+    }
+
+    /// Returns whether the call has not ended, and its caller waits.
+    fn is_wanted(&self) -> bool {
+        self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0
     }
 
     fn done(&self) {
@@ -319,23 +320,31 @@ impl<C: Command> AnyCall for CallSlot<C> {
         now: Instant,
     ) -> Result<Option<ErrorCode>, FieldError> {
         let Some(request) = self.request() else { return Err(FieldError::Unreadable) };
-        match command::decode_spelled(request, self.spelling(), framing, data) {
-            Ok(reply) => {
-                self.hold(Ok(reply), Some(now));
-                Ok(None)
+        let mut slot = lock(&self.result);
+        // The result of a call that has ended stays. One that was held before is replaced.
+        let wanted = self.is_wanted();
+        let mut unwanted = CallResult::NONE;
+        let CallResult { result, reply, at } = if wanted { &mut *slot } else { &mut unwanted };
+        (*result, *at) = (None, None);
+        let refusal = match command::decode_spelled_into(request, self.spelling(), framing, data, reply) {
+            Ok(()) => {
+                *result = Some(Ok(()));
+                None
             }
             Err(ReplyError::Plc(error)) => {
                 let repeated = self.sends.load(Ordering::Acquire) > 1;
-                self.hold(Err(Error::Plc { station, code: C::CODE, error, repeated }), Some(now));
-                Ok(Some(error))
+                *result = Some(Err(Error::Plc { station, code: C::CODE, error, repeated }));
+                Some(error)
             }
-            Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
-        }
+            Err(ReplyError::Mismatch(mismatch)) => return Err(mismatch),
+        };
+        *at = Some(now);
+        Ok(refusal)
     }
 
     fn commit(&self, proof: Proof) {
         self.proof.store(u64::from(proof.proofs) << 32 | u64::from(proof.doubts), Ordering::Relaxed);
-        if self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0 {
+        if self.is_wanted() {
             self.done();
         }
     }
@@ -389,13 +398,19 @@ impl<C: Command> AnyCall for CallSlot<C> {
     }
 
     fn complete_without_reply(&self, proof: Proof) {
-        if self.hold(self.implied_reply.clone().ok_or(Error::Closed { sent: true }), None) {
+        let implied = |slot: &mut CallResult<C>| {
+            slot.reply = self.implied_reply.clone();
+            slot.result = Some(slot.reply.as_ref().map(|_| ()).ok_or(Error::Closed { sent: true }));
+        };
+        if self.hold(implied) {
             self.commit(proof);
         }
     }
 
     fn fail(&self, error: Error) {
-        self.finish(Err(error), None);
+        if self.hold(|slot| slot.result = Some(Err(error))) {
+            self.done();
+        }
     }
 
     fn unanswered(&self, after: Duration, fault: Option<String>) -> Error {

@@ -20,9 +20,11 @@ use crate::command::Command;
 
 struct Spare {
     slot: Arc<dyn Any + Send + Sync>,
-    /// Wakes the task of the slot. `None`: its call did not wait.
-    timer: Option<Box<CallTimer>>,
+    timer: KeptTimer,
 }
+
+/// The timer of a slot, which wakes the task of the slot. `None`: its call did not wait.
+pub(super) type KeptTimer = Option<Box<CallTimer>>;
 
 struct Kept {
     spares: Vec<Spare>,
@@ -40,7 +42,7 @@ thread_local! {
 pub(super) const MAX_KEPT: usize = 256;
 
 /// Takes a slot of this type, and its timer. The timer may be of another runtime.
-pub(super) fn take<C: Command>() -> Option<(Arc<CallSlot<C>>, Option<Box<CallTimer>>)> {
+pub(super) fn take<C: Command>() -> Option<(Arc<CallSlot<C>>, KeptTimer)> {
     let Spare { slot, timer } = with(|Kept { spares, .. }| {
         let is_free = |spare: &Spare| spare.slot.is::<CallSlot<C>>() && Arc::strong_count(&spare.slot) == 1;
         // Mostly it is the last one.
@@ -51,7 +53,7 @@ pub(super) fn take<C: Command>() -> Option<(Arc<CallSlot<C>>, Option<Box<CallTim
 }
 
 /// Leaves a slot to a later call.
-pub(super) fn keep<C: Command>(mut slot: Arc<CallSlot<C>>, timer: Option<Box<CallTimer>>) {
+pub(super) fn keep<C: Command>(mut slot: Arc<CallSlot<C>>, timer: KeptTimer) {
     if std::mem::needs_drop::<C>() {
         // The values of a write are not kept with its slot.
         match Arc::get_mut(&mut slot) {

@@ -5,7 +5,7 @@ use std::task::{Context, Poll};
 use bytes::Bytes;
 
 use super::*;
-use crate::command::{LoopBack, ReadRegisters, ReadStatus, WriteRegisters};
+use crate::command::{LoopBack, ReadRegisters, ReadStatus, StackReply, WriteRegisters};
 use crate::element::Register;
 
 pub(super) fn call(options: CallOptions) -> (PendingCall, CallFuture<ReadStatus>) {
@@ -201,6 +201,36 @@ fn a_retracted_reply_is_no_result_and_a_result_stays() {
     second.slot.commit(Proof::default());
     second.slot.retract();
     assert!(matches!(result(&mut future), Some(Ok(()))), "the call has ended");
+}
+
+/// The reply stays in the slot when its values are copied from there. Neither a later call nor a frame that
+/// is no reply may bring it again.
+#[test]
+fn a_reply_in_a_slot_is_the_result_of_its_own_call_only() {
+    while spares::take::<StackReply<ReadRegisters<Register>, 4>>().is_some() {}
+    let read = || StackReply::<_, 4>(ReadRegisters::new(Register::r(0), 2).expect("a read"));
+    let reply = |call: &PendingCall, data: &[u8]| call.slot.try_complete(Framing::Ascii, 7, data, Instant::now());
+    let copied = |future: &mut CallFuture<StackReply<ReadRegisters<Register>, 4>>| {
+        future.take_result(|reply| Some(reply.as_ref()?.as_slice().to_vec()))
+    };
+    let (first, mut future) = call_of(read(), CallOptions::new());
+    assert_eq!(reply(&first, b"000010002"), Ok(None));
+    first.slot.commit(Proof::default());
+    assert!(matches!(copied(&mut future), Ok(values) if values == [1, 2]));
+    assert!(matches!(copied(&mut future), Err(Error::Closed { .. })), "it is taken once");
+    drop(first);
+    future.recycle();
+
+    let (second, mut future) = call_of(read(), CallOptions::new());
+    assert!(spares::take::<StackReply<ReadRegisters<Register>, 4>>().is_none(), "it has the slot of the first call");
+    second.slot.commit(Proof::default());
+    assert!(matches!(copied(&mut future), Err(Error::Closed { .. })), "it has had no reply");
+
+    let (third, mut future) = call_of(read(), CallOptions::new());
+    assert_eq!(reply(&third, b"000030004"), Ok(None));
+    assert_eq!(reply(&third, b"00005000X"), Err(FieldError::NotHex(b'X')));
+    third.slot.commit(Proof::default());
+    assert!(matches!(copied(&mut future), Err(Error::Closed { .. })), "the held reply is replaced by none");
 }
 
 #[test]
