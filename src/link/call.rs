@@ -59,9 +59,6 @@ pub(crate) trait AnyCall: Send + Sync {
     /// Sets the spelling of the next transmission.
     fn spell(&self, spelling: Spelling);
 
-    /// Returns the spelling that was set last.
-    fn spelling(&self) -> Spelling;
-
     /// Appends the request to `dst` as a frame, in the spelling that is set. The request was checked for
     /// this framing.
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut);
@@ -165,6 +162,8 @@ pub(crate) struct PendingCall {
     pub(crate) unproven_once: bool,
     /// Another spelling was refused, so the request is sent as the caller made it.
     pub(crate) plain: bool,
+    /// The spelling of the next transmission, or of the last one. The slot has it, too, for the caller.
+    spelling: Spelling,
     /// A write was refused in another spelling when the station had this number of strays. With one
     /// more, the refusal may have been another request's, and the write may have been executed.
     pub(crate) refused_at: Option<u32>,
@@ -231,6 +230,17 @@ impl PendingCall {
         self.slot.unanswered(after, fault)
     }
 
+    /// The spelling that was set last; without one, that of the caller.
+    pub(crate) fn spelling(&self) -> Spelling {
+        self.spelling
+    }
+
+    /// Sets the spelling of the next transmission.
+    pub(crate) fn spell(&mut self, spelling: Spelling) {
+        self.spelling = spelling;
+        self.slot.spell(spelling);
+    }
+
     /// Returns whether the request is a write or a control command.
     pub(crate) fn is_write(&self) -> bool {
         self.code.class() != Class::Read
@@ -263,6 +273,7 @@ pub(crate) fn new<C: Command>(
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = options.retries_for(C::CODE.class());
     let check_retries_left = options.retries.saturating_sub(retries_left);
+    let spelling = request.plain();
     let (slot, timer) = match spares::take::<C>() {
         None => (Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)), None),
         Some((mut spare, timer)) => match Arc::get_mut(&mut spare) {
@@ -279,6 +290,7 @@ pub(crate) fn new<C: Command>(
         retries_left,
         unproven_once: false,
         plain: false,
+        spelling,
         refused_at: None,
         check_retries_left,
         cause: None,

@@ -25,15 +25,14 @@ mod tests;
 mod writing;
 
 use std::io;
-use std::mem::MaybeUninit;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, Waker, ready};
 
 use bytes::BytesMut;
 use futures::future::{BoxFuture, FutureExt};
-use tokio::io::{AsyncRead as _, ReadBuf};
 use tokio::time::Instant;
+use tokio_util::io::poll_read_buf;
 
 use self::writing::{Unwritten, Writing};
 use super::buffer;
@@ -377,20 +376,27 @@ impl Driver {
     /// Reads all data and passes them to the core. Returns whether all were read: from a peer that
     /// never stops, only a number of reads are taken.
     fn read_all(&mut self, cx: &mut Context<'_>, clock: &mut Clock) -> io::Result<bool> {
+        let mut bytes = buffer::borrow();
+        let result = self.read_with(&mut bytes, cx, clock);
+        buffer::give_back(bytes);
+        result
+    }
+
+    /// Reads all data through an empty buffer, which is empty again in the end.
+    fn read_with(&mut self, bytes: &mut BytesMut, cx: &mut Context<'_>, clock: &mut Clock) -> io::Result<bool> {
         while self.received < MAX_BYTES_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
             self.io_waker.clear_ready();
-            let mut bytes = [const { MaybeUninit::uninit() }; buffer::LEN];
-            let mut bytes = ReadBuf::uninit(&mut bytes);
-            match Pin::new(io).poll_read(cx, &mut bytes) {
+            let read = match poll_read_buf(Pin::new(io), cx, bytes) {
                 Poll::Pending => return Ok(true),
-                Poll::Ready(result) => result?,
-            }
-            if bytes.filled().is_empty() {
+                Poll::Ready(read) => read?,
+            };
+            if read == 0 {
                 return Err(io::Error::new(io::ErrorKind::UnexpectedEof, CLOSED_BY_PEER));
             }
+            self.received = self.received.saturating_add(read);
             // Read after the data: the frame gap of a serial line begins now.
-            self.process_bytes(bytes.filled(), clock.look());
+            self.process_bytes(bytes, clock.look());
             if !self.core.is_idle() {
                 // The deadline of the exchange may have passed.
                 return Ok(false);
@@ -399,22 +405,27 @@ impl Driver {
         Ok(false)
     }
 
-    fn process_bytes(&mut self, bytes: &[u8], now: Instant) {
-        self.received = self.received.saturating_add(bytes.len());
-        let borrows = self.core.receive_buffer().is_empty();
-        if borrows {
-            *self.core.receive_buffer() = buffer::borrow();
+    /// Passes received bytes to the core, and empties the buffer.
+    fn process_bytes(&mut self, bytes: &mut BytesMut, now: Instant) {
+        let received = self.core.receive_buffer();
+        if !received.is_empty() {
+            received.extend_from_slice(bytes);
+            bytes.clear();
+            self.core.received(now);
+            let left = self.core.receive_buffer();
+            if left.is_empty() {
+                *left = BytesMut::new();
+            }
+            return;
         }
-        self.core.receive_buffer().extend_from_slice(bytes);
+        // Mostly a frame comes whole, and is decoded where it was read.
+        std::mem::swap(received, bytes);
         self.core.received(now);
         let left = self.core.receive_buffer();
         // Exactly as much memory as the incomplete frame needs.
         let kept = if left.is_empty() { BytesMut::new() } else { BytesMut::from(&left[..]) };
-        if borrows {
-            buffer::give_back(std::mem::replace(left, kept));
-        } else if left.is_empty() {
-            *left = kept;
-        }
+        *bytes = std::mem::replace(left, kept);
+        bytes.clear();
     }
 
     /// Begins or continues to open a connection. Ready when the attempt has ended.

@@ -85,7 +85,7 @@ impl Outgoing {
     /// Shape of the positive reply.
     pub(crate) fn shape(&self, framing: Framing) -> Shape {
         match self {
-            Self::Call(call) => call.slot.shape(call.slot.spelling(), framing),
+            Self::Call(call) => call.slot.shape(call.spelling(), framing),
             Self::Link { request, nonce, .. } => match request {
                 LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
                     let data = loop_back(*check, *nonce);

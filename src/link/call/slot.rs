@@ -235,6 +235,15 @@ impl<C: Command> CallSlot<C> {
         self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0
     }
 
+    /// Returns the spelling that was set last; without one, that of the caller.
+    fn spelling(&self) -> Spelling {
+        let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
+        match Code::from_u8(code) {
+            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]), before: before != 0 },
+            None => self.plain(),
+        }
+    }
+
     fn done(&self) {
         self.state.fetch_or(DONE, Ordering::AcqRel);
         self.task.wake();
@@ -295,14 +304,6 @@ impl<C: Command> AnyCall for CallSlot<C> {
         let [high, low] = spelling.count.to_be_bytes();
         let bits = u32::from_be_bytes([spelling.before.into(), spelling.code.into(), high, low]);
         self.spelling.store(bits, Ordering::Release);
-    }
-
-    fn spelling(&self) -> Spelling {
-        let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
-        match Code::from_u8(code) {
-            Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]), before: before != 0 },
-            None => self.plain(),
-        }
     }
 
     fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) {

@@ -122,7 +122,7 @@ impl Core {
                 }
                 self.answered(station, measured, now);
                 let rule = self.rule(station);
-                let (plain, spelling, run) = (slot.plain(), slot.spelling(), slot.run());
+                let (plain, spelling, run) = (slot.plain(), call.spelling(), slot.run());
                 if reply.refused && spelling != plain {
                     // Only the spelling may be refused.
                     let lacks = active.refusal.is_some_and(ErrorCode::is_about_the_command);

@@ -96,7 +96,7 @@ impl Core {
             }
             Ok(Choice::Send(spelling)) => {
                 call.refused_at = None;
-                call.slot.spell(spelling);
+                call.spell(spelling);
                 Some(Outgoing::Call(call))
             }
             Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(call))),
@@ -143,7 +143,7 @@ impl Core {
                 self.stats.count_link(|link| add(&mut link.broadcasts, 1));
             } else {
                 let slot = &*call.slot;
-                let (plain, spelling) = (slot.plain(), slot.spelling());
+                let (plain, spelling) = (slot.plain(), call.spelling());
                 self.stats.count_station(station, |stats| stats.sent(plain, spelling));
                 debug_assert!(
                     self.stations.with_in_step(station, |in_step| {
