@@ -238,7 +238,7 @@ macro_rules! write_consecutive {
         impl $(<$generic: $bound>)? Command for $name $(<$generic>)? {
             type Reply = ();
             const CODE: Code = Code::$name;
-            const BROADCAST_REPLY: Option<()> = Some(());
+            const IMPLIED_REPLY: Option<()> = Some(());
 
             fn write_request<W: FieldWriter>(&self, fields: &mut W) {
                 fields.count(self.$values.len());

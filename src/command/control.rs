@@ -33,7 +33,7 @@ impl fmt::Display for ControlPlc {
 impl Command for ControlPlc {
     type Reply = ();
     const CODE: Code = Code::ControlPlc;
-    const BROADCAST_REPLY: Option<()> = Some(());
+    const IMPLIED_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.bit(*self == Self::Run);
@@ -120,7 +120,7 @@ impl fmt::Display for ControlDiscrete {
 impl Command for ControlDiscrete {
     type Reply = ();
     const CODE: Code = Code::ControlDiscrete;
-    const BROADCAST_REPLY: Option<()> = Some(());
+    const IMPLIED_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.code(self.control as u8);

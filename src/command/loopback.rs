@@ -61,6 +61,7 @@ impl fmt::Display for LoopBack {
 impl Command for LoopBack {
     type Reply = ();
     const CODE: Code = Code::LoopBack;
+    const IMPLIED_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.raw(&self.data);

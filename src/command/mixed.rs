@@ -173,7 +173,7 @@ impl fmt::Display for WriteMixed {
 impl Command for WriteMixed {
     type Reply = ();
     const CODE: Code = Code::WriteMixed;
-    const BROADCAST_REPLY: Option<()> = Some(());
+    const IMPLIED_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.count(self.items.len());

@@ -102,9 +102,10 @@ pub trait Command: Clone + fmt::Debug + fmt::Display + Send + Sync + sealed::Sea
     /// The code of the command.
     const CODE: Code;
 
-    /// The result of a broadcast, which no PLC answers; `None` for commands that read.
+    /// The result of a request that ends without a reply: of a broadcast, which no PLC answers, and of a
+    /// check that confirms earlier results. `None` for commands that read values.
     #[doc(hidden)]
-    const BROADCAST_REPLY: Option<Self::Reply> = None;
+    const IMPLIED_REPLY: Option<Self::Reply> = None;
 
     /// Writes the fields of the request, which follow the command code.
     fn write_request<W: FieldWriter>(&self, fields: &mut W);

@@ -152,7 +152,7 @@ impl fmt::Display for WriteProgramPage {
 impl Command for WriteProgramPage {
     type Reply = ();
     const CODE: Code = Code::WriteProgramPage;
-    const BROADCAST_REPLY: Option<()> = Some(());
+    const IMPLIED_REPLY: Option<()> = Some(());
 
     fn write_request<W: FieldWriter>(&self, fields: &mut W) {
         fields.word(self.page);

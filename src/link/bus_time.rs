@@ -24,7 +24,7 @@ use super::core::{Action, Core};
 use super::in_step::{Proof, Shape};
 use super::options::CallOptions;
 use super::stats::{SharedStats, StationState};
-use super::{LinkBuilder, later};
+use super::{LinkBuilder, Purpose, later};
 use crate::command::{Command, ReadRegisters, Spelling};
 use crate::element::Register;
 use crate::error::Error;
@@ -176,16 +176,10 @@ impl World {
     }
 
     fn push<C: Command>(&mut self, station: u8, request: C) -> CallFuture<C> {
-        self.push_as(station, request, None, false)
+        self.push_as(station, request, Purpose::Whole)
     }
 
-    fn push_as<C: Command>(
-        &mut self,
-        station: u8,
-        request: C,
-        confirms: Option<C::Reply>,
-        part: bool,
-    ) -> CallFuture<C> {
+    fn push_as<C: Command>(&mut self, station: u8, request: C, purpose: Purpose) -> CallFuture<C> {
         let options = CallOptions::new().with_call_timeout(Duration::from_secs(3600)).with_retries(2);
         let meta = CallMeta {
             station,
@@ -193,10 +187,11 @@ impl World {
             lane: options.lane(C::CODE.class()),
             deadline: later(self.now, options.call_timeout),
             queued_at: self.now,
-            confirms: confirms.is_some(),
+            confirms: purpose == Purpose::Confirm,
         };
-        let sending = Sending { response_timeout: RESPONSE_TIMEOUT, adaptive: options.adaptive, part };
-        let (mut call, future) = call::new(request, confirms, meta, sending, &options);
+        let sending =
+            Sending { response_timeout: RESPONSE_TIMEOUT, adaptive: options.adaptive, part: purpose == Purpose::Part };
+        let (mut call, future) = call::new(request, meta, sending, &options);
         call.retries_left = 2;
         self.core.push(call, self.now);
         future

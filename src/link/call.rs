@@ -262,11 +262,9 @@ impl std::fmt::Debug for PendingCall {
         write!(f, "PendingCall(station {}, {}, {:?})", self.station, self.code, self.lane)
     }
 }
-/// Makes the two halves of a call. `implied_reply` is its result if it ends without a reply; `options`
-/// have its retries.
+/// Makes the two halves of a call. `options` have its retries.
 pub(crate) fn new<C: Command>(
     request: C,
-    implied_reply: Option<C::Reply>,
     meta: CallMeta,
     sending: Sending,
     options: &CallOptions,
@@ -275,11 +273,11 @@ pub(crate) fn new<C: Command>(
     let check_retries_left = options.retries.saturating_sub(retries_left);
     let spelling = request.plain();
     let (slot, timer) = match spares::take::<C>() {
-        None => (Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)), None),
+        None => (Arc::new(CallSlot::new(request, meta.station, sending)), None),
         Some((mut spare, timer)) => match Arc::get_mut(&mut spare) {
-            None => (Arc::new(CallSlot::new(request, implied_reply, meta.station, sending)), None),
+            None => (Arc::new(CallSlot::new(request, meta.station, sending)), None),
             Some(slot) => {
-                slot.begin(request, implied_reply, meta.station, sending);
+                slot.begin(request, meta.station, sending);
                 (spare, timer)
             }
         },

@@ -324,8 +324,8 @@ impl Link {
         &self,
         station: u8,
         request: C,
-        purpose: Purpose<C>,
-        options: CallOptions,
+        purpose: Purpose,
+        options: &CallOptions,
     ) -> impl Future<Output = CallOutcome<C::Reply>> {
         self.submit_with(station, request, purpose, options, Option::take)
     }
@@ -337,8 +337,8 @@ impl Link {
         &self,
         station: u8,
         request: C,
-        purpose: Purpose<C>,
-        options: CallOptions,
+        purpose: Purpose,
+        options: &CallOptions,
         take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
     ) -> CallOutcome<T> {
         let queued_at = Instant::now();
@@ -354,19 +354,15 @@ impl Link {
             lane: options.lane(C::CODE.class()),
             deadline,
             queued_at,
-            confirms: matches!(purpose, Purpose::Confirm(_)),
+            confirms: purpose == Purpose::Confirm,
         };
         let sending = Sending {
             response_timeout: options.response_timeout.unwrap_or(self.inner.config.response_timeout),
             adaptive: options.adaptive,
-            part: matches!(purpose, Purpose::Part),
+            part: purpose == Purpose::Part,
         };
         let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
-        let implied_reply = match purpose {
-            Purpose::Whole | Purpose::InJob | Purpose::Part => None,
-            Purpose::Broadcast(reply) | Purpose::Confirm(reply) => Some(reply),
-        };
-        let (call, mut future) = call::new(request, implied_reply, meta, sending, &options);
+        let (call, mut future) = call::new(request, meta, sending, options);
         // Lasts until the call has ended.
         let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
         // Work for the link may also serve calls of others, so it runs in the link's span.
@@ -476,18 +472,17 @@ impl Link {
 const LOOKS_AT_DEADLINE: u32 = 3;
 
 /// Purpose of a call.
-pub(crate) enum Purpose<C: Command> {
-    /// A single request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// A single request, or a broadcast.
     Whole,
     /// A request of a [`job`].
     InJob,
     /// A request of a longer read or write, which is a job. A spelling may leave elements to the
     /// next one.
     Part,
-    /// A broadcast. This is its result once it is sent.
-    Broadcast(C::Reply),
-    /// The confirmation of earlier results. This is its result; the request itself is never sent.
-    Confirm(C::Reply),
+    /// The confirmation of earlier results. The request itself is never sent.
+    Confirm,
 }
 
 /// The result of a call, and what its reply has shown.

@@ -54,7 +54,7 @@ async fn poll_until_stopped(shared: &PollerShared, station: &StationShared) {
                 advance(shared, station, |poller, _, samples| poller.handle_read(outcome, samples))
             }
             Some(PollStep::Confirm) => {
-                let check = station.handle.submit(LoopBack::empty(), Purpose::Confirm(()));
+                let check = station.handle.submit(LoopBack::empty(), Purpose::Confirm);
                 let Some(CallOutcome { result, proof, .. }) = wait_for(shared, station, check).await else { return };
                 let result = result.map(|()| proof);
                 advance(shared, station, |poller, now, samples| poller.handle_check(result, now, samples))

@@ -3,8 +3,8 @@
 use std::fmt;
 
 use crate::command::{
-    Command, ControlDiscrete, ControlPlc, DiscreteControl, InvalidRequest, Request, Value, WriteDiscretes, WriteMixed,
-    WriteRegisters, with_command,
+    Class, Command, ControlDiscrete, ControlPlc, DiscreteControl, InvalidRequest, Request, Value, WriteDiscretes,
+    WriteMixed, WriteRegisters, with_command,
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
@@ -99,8 +99,10 @@ impl Broadcast {
     }
 
     async fn cast<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        let Some(reply) = C::BROADCAST_REPLY else { return Err(InvalidRequest::NoBroadcast { code: C::CODE }.into()) };
-        self.link.submit(0, request, Purpose::Broadcast(reply), self.options.with_retries(0)).await.result
+        if C::CODE.class() == Class::Read {
+            return Err(InvalidRequest::NoBroadcast { code: C::CODE }.into());
+        }
+        self.link.submit(0, request, Purpose::Whole, &self.options.with_retries(0)).await.result
     }
 }
 

@@ -162,7 +162,7 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors).
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        self.link.submit(self.number, request, Purpose::Whole, self.options).await.result
+        self.link.submit(self.number, request, Purpose::Whole, &self.options).await.result
     }
 
     /// As [`call`](Self::call); `take` takes the reply, where it was decoded.
@@ -171,16 +171,16 @@ impl Station {
         request: C,
         take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
     ) -> Result<T, Error> {
-        self.link.submit_with(self.number, request, Purpose::Whole, self.options, take).await.result
+        self.link.submit_with(self.number, request, Purpose::Whole, &self.options, take).await.result
     }
 
     /// Makes a call for this purpose, and returns its result and proof.
     pub(crate) fn submit<C: Command>(
         &self,
         request: C,
-        purpose: Purpose<C>,
+        purpose: Purpose,
     ) -> impl Future<Output = CallOutcome<C::Reply>> {
-        self.link.submit(self.number, request, purpose, self.options)
+        self.link.submit(self.number, request, purpose, &self.options)
     }
 
     /// Forwards a request, such as one that a gateway has decoded, and returns its reply for

@@ -111,7 +111,7 @@ impl<'s, M: Copy> StationJob<'s, M> {
     }
 
     async fn check(&self) -> Result<crate::link::Proof, Error> {
-        let answered = self.station.submit(LoopBack::empty(), Purpose::Confirm(())).await;
+        let answered = self.station.submit(LoopBack::empty(), Purpose::Confirm).await;
         answered.result.map(|()| answered.proof)
     }
 

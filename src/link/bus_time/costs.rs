@@ -10,8 +10,8 @@ use crate::command::{
 };
 use crate::element::{Discrete, Register, Symbol};
 use crate::endpoint::InStepSettings;
-use crate::link::Line;
 use crate::link::job::{Job, JobProgress};
+use crate::link::{Line, Purpose};
 use crate::sim::{Bus, Model, Plc};
 use crate::wire::Framing;
 
@@ -41,7 +41,8 @@ impl Work {
 
     /// Makes a call. Returns the number of elements that its request named.
     fn ask<C: Command>(&mut self, request: C, longer: bool) -> usize {
-        let future = self.world.push_as(1, request, None, longer);
+        let purpose = if longer { Purpose::Part } else { Purpose::Whole };
+        let future = self.world.push_as(1, request, purpose);
         let (result, spelling, shape, proof) = self.world.finish(future);
         assert!(result.is_ok(), "{result:?}");
         if let Some(job) = &mut self.job {
@@ -54,7 +55,7 @@ impl Work {
         self.job = Some(Job::new(2));
         work(self);
         if self.job.take().is_some_and(|job| job.must_confirm()) {
-            let future = self.world.push_as(1, LoopBack::empty(), Some(()), false);
+            let future = self.world.push_as(1, LoopBack::empty(), Purpose::Confirm);
             assert!(self.world.finish(future).0.is_ok());
         }
     }

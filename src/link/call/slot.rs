@@ -135,8 +135,6 @@ impl<C: Command> Drop for CallFuture<C> {
 pub(super) struct CallSlot<C: Command> {
     /// `None` only in a spare slot.
     request: Option<C>,
-    /// Result of a call that ends without a reply.
-    implied_reply: Option<C::Reply>,
     station: u8,
     sending: Sending,
     state: AtomicU8,
@@ -178,10 +176,9 @@ const AWAITS_SILENCE: u8 = 8;
 const CHECKED: u8 = 16;
 
 impl<C: Command> CallSlot<C> {
-    pub(super) fn new(request: C, implied_reply: Option<C::Reply>, station: u8, sending: Sending) -> Self {
+    pub(super) fn new(request: C, station: u8, sending: Sending) -> Self {
         Self {
             request: Some(request),
-            implied_reply,
             station,
             sending,
             state: AtomicU8::new(0),
@@ -195,9 +192,8 @@ impl<C: Command> CallSlot<C> {
     }
 
     /// Reuses the slot of a call that has ended.
-    pub(super) fn begin(&mut self, request: C, implied_reply: Option<C::Reply>, station: u8, sending: Sending) {
+    pub(super) fn begin(&mut self, request: C, station: u8, sending: Sending) {
         self.request = Some(request);
-        self.implied_reply = implied_reply;
         (self.station, self.sending) = (station, sending);
         *self.state.get_mut() = 0;
         *self.sends.get_mut() = 0;
@@ -400,7 +396,7 @@ impl<C: Command> AnyCall for CallSlot<C> {
 
     fn complete_without_reply(&self, proof: Proof) {
         let implied = |slot: &mut CallResult<C>| {
-            slot.reply = self.implied_reply.clone();
+            slot.reply = C::IMPLIED_REPLY;
             slot.result = Some(slot.reply.as_ref().map(|_| ()).ok_or(Error::Closed { sent: true }));
         };
         if self.hold(implied) {

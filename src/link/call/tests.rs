@@ -23,7 +23,7 @@ fn call_of<C: Command>(request: C, options: CallOptions) -> (PendingCall, CallFu
         confirms: false,
     };
     let sending = Sending { response_timeout: Duration::from_secs(1), adaptive: options.adaptive, part: false };
-    new(request, None, meta, sending, &options)
+    new(request, meta, sending, &options)
 }
 
 fn result<C: Command>(future: &mut CallFuture<C>) -> Option<Result<(), Error>> {

@@ -16,7 +16,7 @@ fn call(station: u8, lane: Lane, now: Instant) -> (PendingCall, CallFuture<ReadS
         confirms: false,
     };
     let sending = Sending { response_timeout: SECOND, adaptive: None, part: false };
-    call::new(ReadStatus, None, meta, sending, &CallOptions::new())
+    call::new(ReadStatus, meta, sending, &CallOptions::new())
 }
 
 /// A scheduler with these calls waiting, and the futures that keep them wanted.

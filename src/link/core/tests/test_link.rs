@@ -99,7 +99,7 @@ impl TestLink {
         };
         let response_timeout = options.response_timeout.unwrap_or(TIMEOUT);
         let sending = Sending { response_timeout, adaptive: options.adaptive, part: false };
-        let (call, future) = call::new(request, None, meta, sending, &options);
+        let (call, future) = call::new(request, meta, sending, &options);
         self.core.push(call, self.now);
         future
     }
