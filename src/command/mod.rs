@@ -53,7 +53,7 @@ pub use register::RegisterElement;
 pub use request::RequestError;
 pub(crate) use set::CommandSet;
 pub(crate) use spelling::{Candidate, Candidates, NONE as NO_CANDIDATES, Run, Spelling};
-pub(crate) use stack_reply::{Consecutive, StackReply, ValueOf};
+pub(crate) use stack_reply::{ArrayVec, Consecutive, StackReply, ValueOf};
 pub use status::{BriefStatus, DetailedStatus, MainUnit, ProgramCapacity, Series, StatusFlags};
 #[cfg(feature = "sim")]
 pub(crate) use text::Data;

@@ -115,7 +115,7 @@ impl Symbol {
     }
 
     /// Returns whether some of its addresses are counters of 32 bits.
-    pub(super) const fn has_counters(self) -> bool {
+    pub(crate) const fn has_counters(self) -> bool {
         let [first, last] = self.row().counters;
         first <= last
     }

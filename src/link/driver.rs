@@ -60,8 +60,6 @@ pub(crate) struct Driver {
     state: Arc<SharedLinkState>,
     /// Wakes the task that runs.
     io_waker: Arc<IoWaker>,
-    /// A waker of `io_waker`.
-    waker: Waker,
     /// All data were read after the ready flag was cleared, and the stream wakes its reader for
     /// more. So reading may be skipped while the flag is clear.
     read_armed: bool,
@@ -132,7 +130,6 @@ impl Driver {
         send_gate: Option<SendGate>,
         state: Arc<SharedLinkState>,
     ) -> Self {
-        let io_waker = Arc::new(IoWaker::noop());
         Self {
             core,
             connector,
@@ -140,8 +137,7 @@ impl Driver {
             send_gate,
             sent_until: None,
             state,
-            waker: Waker::from(io_waker.clone()),
-            io_waker,
+            io_waker: Arc::new(IoWaker::noop()),
             read_armed: false,
             io: None,
             opening: None,
@@ -159,6 +155,7 @@ impl Driver {
     }
 
     /// Takes a call.
+    #[inline]
     pub(crate) fn push(&mut self, call: PendingCall, now: Instant) {
         self.core.push(call, now);
     }
@@ -202,14 +199,8 @@ impl Driver {
     /// Sets the waker for everything that [`advance`](Self::advance) waits for from now on.
     pub(crate) fn set_io_waker(&mut self, io_waker: IoWaker) {
         self.io_waker = Arc::new(io_waker);
-        self.waker = Waker::from(self.io_waker.clone());
         // The stream has the waker from before.
         self.read_armed = false;
-    }
-
-    /// The context in which the task polls its timer.
-    pub(crate) fn context(&self) -> Context<'_> {
-        Context::from_waker(&self.waker)
     }
 
     /// Returns whether a call made now would be sent at once, as far as can be told.
@@ -228,12 +219,11 @@ impl Driver {
         format!("{:?}", self.core)
     }
 
-    /// Does all that can be done without waiting. `now` is the time if it was read a moment ago.
-    pub(crate) fn advance(&mut self, by: AdvancedBy, now: Option<Instant>) -> DriverStatus {
-        let waker = std::mem::replace(&mut self.waker, Waker::noop().clone());
-        let next = self.run(by, &mut Clock(now), &mut Context::from_waker(&waker));
-        self.waker = waker;
-        next
+    /// Does all that can be done without waiting. `now` is the time if it was read a moment ago;
+    /// `waker` is one of [`io_waker`](Self::io_waker).
+    pub(crate) fn advance(&mut self, by: AdvancedBy, now: Option<Instant>, waker: &Waker) -> DriverStatus {
+        debug_assert!(std::ptr::addr_eq(waker.data(), Arc::as_ptr(&self.io_waker)), "a waker of an earlier task");
+        self.run(by, &mut Clock(now), &mut Context::from_waker(waker))
     }
 
     fn run(&mut self, by: AdvancedBy, clock: &mut Clock, cx: &mut Context<'_>) -> DriverStatus {

@@ -283,6 +283,7 @@ impl Exchange {
 
     /// Begins an exchange. `repeats`: its call was sent before. Its request must be written before `by`.
     /// Returns the number of bytes received before the exchange, which are dropped.
+    #[inline]
     pub(crate) fn begin(
         &mut self,
         (outgoing, repeats): (Outgoing, bool),
@@ -319,6 +320,7 @@ impl Exchange {
     }
 
     /// Notes that the request was sent at `at`, and sets the deadline of its reply.
+    #[inline]
     pub(crate) fn sent(&mut self, at: Instant, deadline: Instant) {
         self.written();
         if let Some(active) = &mut self.active {
@@ -342,6 +344,7 @@ impl Exchange {
     }
 
     /// Ends the exchange. Frames that would have answered it are strays from now on.
+    #[inline]
     pub(crate) fn end(&mut self) -> Option<Active> {
         self.written();
         self.active.take()

@@ -258,8 +258,10 @@ impl InStep {
     }
 
     /// Returns whether a request may be sent in this spelling.
+    #[inline]
     pub(crate) fn allows(&self, request: &impl Spelled, spelling: Spelling) -> bool {
-        let threat = self.threat(request.shape(spelling));
+        // Nothing is owed to the first request after a pause, and on lines without duplicates.
+        let threat = if self.owes_nothing() { Threat::None } else { self.threat(request.shape(spelling)) };
         self.suspect.is_none()
             && match request.kind() {
                 Kind::Once => threat == Threat::None,
@@ -268,7 +270,11 @@ impl InStep {
             }
     }
 
+    #[inline]
     fn threat(&self, shape: Shape) -> Threat {
+        if self.owes_nothing() {
+            return Threat::None;
+        }
         let of_taken = self.owed().filter(|taken| taken.shape.code == shape.code).map(|taken| {
             if [shape.size, ANY_SIZE].contains(&taken.shape.size) { Threat::Reply } else { Threat::Refusal }
         });
@@ -277,11 +283,16 @@ impl InStep {
         of_taken.chain(of_broadcasts).max().unwrap_or(Threat::None)
     }
 
+    fn owes_nothing(&self) -> bool {
+        self.taken.is_none() && self.older.is_empty() && self.broadcasts == CommandSet::NONE
+    }
+
     fn owed(&self) -> impl Iterator<Item = &Taken> {
         self.taken.iter().chain(&self.older)
     }
 
     /// Returns whether a reply is proven to answer the request on the wire.
+    #[inline]
     pub(crate) fn proves(&self, kind: Kind, reply: &Reply) -> bool {
         let threat = self.threat(reply.shape);
         let in_step = self.suspect.is_none();

@@ -65,6 +65,7 @@ use tokio::sync::watch;
 use tokio::task::{consume_budget, yield_now};
 use tokio::time::Instant;
 use tracing::Instrument;
+use tracing::level_filters::LevelFilter;
 
 use self::by_station::ByStation;
 use self::call::{CallMeta, Sending};
@@ -364,9 +365,14 @@ impl Link {
         let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
         let (call, mut future) = call::new(request, meta, sending, options);
         // Lasts until the call has ended.
-        let span = tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name());
+        let span = spans_are_on()
+            .then(|| tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name()));
         // Work for the link may also serve calls of others, so it runs in the link's span.
-        self.span().in_scope(|| self.inner.shared.submit(call));
+        if spans_are_on() {
+            self.span().in_scope(|| self.inner.shared.submit(call));
+        } else {
+            self.inner.shared.submit(call);
+        }
         // The runtime of the task may have ended just before.
         if !self.inner.shared.is_started(false)
             && let Err(error) = self.start()
@@ -447,8 +453,12 @@ impl Link {
         // Fails before the task is taken, so that a caller without a runtime does not use it up.
         let runtime = Handle::try_current().map_err(|error| self.no_runtime(error))?;
         if !self.inner.shared.is_started(false) && !self.inner.shared.is_started(true) {
-            let task = self.inner.shared.clone().run();
-            runtime.spawn(task.instrument(self.span()));
+            let (task, span) = (self.inner.shared.clone().run(), self.span());
+            if span.is_none() {
+                runtime.spawn(task);
+            } else {
+                runtime.spawn(task.instrument(span));
+            }
         }
         Ok(())
     }
@@ -465,6 +475,12 @@ impl Link {
     fn connect_error(&self, source: Arc<io::Error>) -> Error {
         Error::Connect { endpoint: self.inner.name.to_string(), source, sent: false }
     }
+}
+
+/// Returns whether a subscriber may want the spans of calls. Mostly none does, and to make and enter
+/// two spans in vain costs a call more than this.
+fn spans_are_on() -> bool {
+    LevelFilter::current() >= LevelFilter::DEBUG
 }
 
 /// How often the runtime looks for events after the deadline of a call: once for the caller, and

@@ -35,7 +35,7 @@ use std::panic::{AssertUnwindSafe, RefUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, Waker};
 
 use futures::future::FutureExt;
 use tokio::task::{unconstrained, yield_now};
@@ -69,6 +69,8 @@ impl RefUnwindSafe for Shared {}
 /// The driver, and the state of the task that goes with it. One thread has it at a time.
 struct DriverSlot {
     driver: Driver,
+    /// A waker of the driver's `io_waker`, for all that the driver waits for, and for the timer.
+    waker: Waker,
     /// When the task's timer is due.
     timer: Option<Instant>,
     /// The panic of a transport while a caller was advancing the driver: the task resumes it.
@@ -77,12 +79,13 @@ struct DriverSlot {
 
 impl Shared {
     pub(crate) fn new(driver: Driver) -> Self {
-        let io_waker = Mutex::new(driver.io_waker().clone());
+        let io_waker = driver.io_waker().clone();
+        let waker = Waker::from(io_waker.clone());
         Self {
             inbox: Mutex::default(),
             posted: AtomicBool::new(false),
-            slot: Mutex::new(Some(Box::new(DriverSlot { driver, timer: None, panic: None }))),
-            io_waker,
+            slot: Mutex::new(Some(Box::new(DriverSlot { driver, waker, timer: None, panic: None }))),
+            io_waker: Mutex::new(io_waker),
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             orphaned: AtomicBool::new(false),
@@ -125,9 +128,13 @@ impl Shared {
     }
 
     /// Sets the waker of the driver's I/O, and that of the task.
-    fn set_io_waker(&self, driver: &mut Driver, task: IoWaker) {
-        driver.set_io_waker(task);
-        let before = std::mem::replace(&mut *lock(&self.io_waker), driver.io_waker().clone());
+    fn set_io_waker(&self, slot: &mut DriverSlot, task: IoWaker) {
+        slot.driver.set_io_waker(task);
+        let io_waker = slot.driver.io_waker().clone();
+        slot.waker = Waker::from(io_waker.clone());
+        // The timer has the waker from before.
+        slot.timer = None;
+        let before = std::mem::replace(&mut *lock(&self.io_waker), io_waker);
         drop(before);
     }
 
@@ -230,9 +237,7 @@ impl Shared {
             let mut guard = lock(&self.slot);
             let Some(slot) = guard.as_mut() else { return Poll::Ready(TaskStatus::Ended) };
             if !slot.driver.io_waker().wakes(cx.waker()) {
-                self.set_io_waker(&mut slot.driver, IoWaker::new(cx.waker()));
-                // The timer has the waker from before.
-                slot.timer = None;
+                self.set_io_waker(slot, IoWaker::new(cx.waker()));
             }
             if let Some(panic) = slot.panic.take() {
                 drop(guard);
@@ -249,7 +254,7 @@ impl Shared {
             if let (Some(inbox), Some(now)) = (inbox, now) {
                 inbox.into_iter().for_each(|call| slot.driver.push(call, now));
             }
-            match slot.driver.advance(AdvancedBy::LinkTask, now) {
+            match slot.driver.advance(AdvancedBy::LinkTask, now, &slot.waker) {
                 DriverStatus::Ended => return Poll::Ready(TaskStatus::Ended),
                 DriverStatus::AfterEvents => return Poll::Ready(TaskStatus::AfterEvents),
                 DriverStatus::NeedsTask | DriverStatus::Yield => {
@@ -265,7 +270,7 @@ impl Shared {
                     // A timer keeps the waker of its last poll, which is always the driver's, so it
                     // need not be polled again.
                     let polls = slot.timer.is_some() && (sooner.is_some() || timer.is_elapsed());
-                    if polls && timer.as_mut().poll(&mut slot.driver.context()).is_ready() {
+                    if polls && timer.as_mut().poll(&mut Context::from_waker(&slot.waker)).is_ready() {
                         slot.timer = None;
                         continue;
                     }
@@ -295,14 +300,13 @@ impl Shared {
         if slot.panic.is_some() || !slot.driver.outlives_runtime() {
             return false;
         }
-        slot.timer = None;
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
         let inbox = std::mem::take(&mut *lock(&self.inbox));
         inbox.into_iter().for_each(|call| slot.driver.push(call, Instant::now()));
         slot.driver.runtime_ended();
         // A waker keeps the memory of its task, and with it that of the runtime.
-        self.set_io_waker(&mut slot.driver, IoWaker::noop());
+        self.set_io_waker(slot, IoWaker::noop());
         drop(guard);
         // Closed in the meantime, by a caller that took the task for running: that has to end it
         // now.
@@ -342,7 +346,7 @@ impl DriverSlot {
         }
         // Outside of Tokio's budget: a socket of a caller that has used up its budget would seem to
         // have no data.
-        let advance = unconstrained(async { self.driver.advance(AdvancedBy::Caller, Some(now)) });
+        let advance = unconstrained(async { self.driver.advance(AdvancedBy::Caller, Some(now), &self.waker) });
         match catch_unwind(AssertUnwindSafe(|| advance.now_or_never())) {
             Ok(Some(DriverStatus::Waiting(Some(until)))) => self.timer.is_none_or(|due| until < due),
             Ok(Some(DriverStatus::Waiting(None))) => false,

@@ -10,7 +10,7 @@
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};
-use crate::command::{self, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
+use crate::command::{self, ArrayVec, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
 
@@ -69,7 +69,11 @@ where
     };
     if (1..=most).contains(&count) {
         let request = StackReply::<C, N>(request(first, count)?);
-        return station.call_with(request, |reply| Some(copy(0, reply.as_ref()?.as_slice()))).await;
+        let take = |reply: &mut Option<ArrayVec<_, N>>| {
+            copy(0, reply.as_ref()?.as_slice());
+            Some(())
+        };
+        return station.call_with(request, take).await;
     }
     check_range(C::CODE, first.into(), count, station.link.framing())?;
     let mut job = StationJob::new(station);

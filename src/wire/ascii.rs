@@ -11,7 +11,7 @@
 
 use std::io;
 
-use bytes::{BufMut, BytesMut};
+use bytes::BytesMut;
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::bulk;
@@ -168,10 +168,10 @@ impl Encoder<Frame> for AsciiCodec {
 pub(crate) fn emit(dst: &mut BytesMut, station: u8, command: u8, data: impl FnOnce(&mut AsciiWriter<'_>)) {
     let start = dst.len();
     let ([s1, s0], [c1, c0]) = (hex::of_byte(station), hex::of_byte(command));
-    dst.put_slice(&[STX, s1, s0, c1, c0]);
+    dst.extend_from_slice(&[STX, s1, s0, c1, c0]);
     data(&mut AsciiWriter { dst });
     let [l1, l0] = hex::of_byte(lrc(dst.get(start..).unwrap_or_default()));
-    dst.put_slice(&[l1, l0, ETX]);
+    dst.extend_from_slice(&[l1, l0, ETX]);
 }
 
 /// The first byte that is not a printable character, and its position.
@@ -238,19 +238,19 @@ impl FieldWriter for AsciiWriter<'_> {
     fn code(&mut self, code: u8) {
         // A code above F has no digit. It must not look like another code, least of all like 0,
         // success.
-        self.dst.put_u8(hex::digit(code.min(0x0F)));
+        self.dst.extend_from_slice(&[hex::digit(code.min(0x0F))]);
     }
 
     fn byte(&mut self, byte: u8) {
-        self.dst.put_slice(&hex::of_byte(byte));
+        self.dst.extend_from_slice(&hex::of_byte(byte));
     }
 
     fn word(&mut self, word: u16) {
-        self.dst.put_slice(&hex::of_word(word));
+        self.dst.extend_from_slice(&hex::of_word(word));
     }
 
     fn dword(&mut self, dword: u32) {
-        self.dst.put_slice(&hex::of_dword(dword));
+        self.dst.extend_from_slice(&hex::of_dword(dword));
     }
 
     fn element(&mut self, element: Element) {
@@ -268,7 +268,7 @@ impl FieldWriter for AsciiWriter<'_> {
         }
         places.zip(letters.iter().rev()).for_each(|(place, &letter)| *place = letter);
         let unused = field.len().saturating_sub(letters.len().saturating_add(digits));
-        self.dst.put_slice(field.get(unused..).unwrap_or_default());
+        self.dst.extend_from_slice(field.get(unused..).unwrap_or_default());
     }
 
     fn bits(&mut self, bits: &[bool]) {
@@ -284,7 +284,7 @@ impl FieldWriter for AsciiWriter<'_> {
     }
 
     fn raw(&mut self, bytes: &[u8]) {
-        self.dst.put_slice(bytes);
+        self.dst.extend_from_slice(bytes);
     }
 }
 

@@ -12,7 +12,7 @@
 
 use std::io;
 
-use bytes::{BufMut, BytesMut};
+use bytes::BytesMut;
 use tokio_util::codec::{Decoder, Encoder};
 
 use super::field::{FieldError, FieldReader, FieldWriter};
@@ -179,7 +179,7 @@ pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, dat
         Side::Plc => REPLY,
     };
     let start = dst.len();
-    dst.put_slice(&[header, ID, 0, 0, station, command]);
+    dst.extend_from_slice(&[header, ID, 0, 0, station, command]);
     data(&mut BinaryWriter { dst });
     let payload = dst.len().saturating_sub(start).saturating_sub(HEAD);
     let length_field = start.saturating_add(2);
@@ -191,7 +191,7 @@ pub(crate) fn emit(dst: &mut BytesMut, side: Side, station: u8, command: u8, dat
     }
     let [low, high] = crc(dst.get(length_field..).unwrap_or_default()).to_le_bytes();
     let [end, of_frame] = TERMINATOR;
-    dst.put_slice(&[low, high, end, of_frame]);
+    dst.extend_from_slice(&[low, high, end, of_frame]);
 }
 
 /// CRC-16/MODBUS.
@@ -277,34 +277,34 @@ impl<'a> BinaryWriter<'a> {
 impl FieldWriter for BinaryWriter<'_> {
     fn count(&mut self, count: usize) {
         let [low, ..] = count.to_le_bytes();
-        self.dst.put_u8(low);
+        self.dst.extend_from_slice(&[low]);
     }
 
     fn code(&mut self, code: u8) {
-        self.dst.put_u8(code);
+        self.dst.extend_from_slice(&[code]);
     }
 
     fn byte(&mut self, byte: u8) {
-        self.dst.put_u8(byte);
+        self.dst.extend_from_slice(&[byte]);
     }
 
     fn word(&mut self, word: u16) {
-        self.dst.put_u16(word);
+        self.dst.extend_from_slice(&word.to_be_bytes());
     }
 
     fn dword(&mut self, dword: u32) {
-        self.dst.put_u32(dword);
+        self.dst.extend_from_slice(&dword.to_be_bytes());
     }
 
     fn element(&mut self, element: Element) {
         let [high, low] = element.address().to_be_bytes();
         // Appended at once: each append checks the room in the buffer.
         match *element.symbol().as_str().as_bytes() {
-            [a] => self.dst.put_slice(&[a, high, low]),
-            [a, b] => self.dst.put_slice(&[a, b, high, low]),
+            [a] => self.dst.extend_from_slice(&[a, high, low]),
+            [a, b] => self.dst.extend_from_slice(&[a, b, high, low]),
             ref symbol => {
-                self.dst.put_slice(symbol);
-                self.dst.put_slice(&[high, low]);
+                self.dst.extend_from_slice(symbol);
+                self.dst.extend_from_slice(&[high, low]);
             }
         }
     }
@@ -322,7 +322,7 @@ impl FieldWriter for BinaryWriter<'_> {
     }
 
     fn raw(&mut self, bytes: &[u8]) {
-        self.dst.put_slice(bytes);
+        self.dst.extend_from_slice(bytes);
     }
 }
 

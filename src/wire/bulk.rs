@@ -1,6 +1,6 @@
 //! Values of one encoding in bulk, in loops that the compiler can vectorise.
 
-use bytes::{BufMut, BytesMut};
+use bytes::BytesMut;
 
 /// Appends values, each encoded in `N` bytes.
 pub(super) fn put<T: Copy, const N: usize>(dst: &mut BytesMut, values: &[T], encode: impl Fn(T) -> [u8; N]) {
@@ -10,7 +10,7 @@ pub(super) fn put<T: Copy, const N: usize>(dst: &mut BytesMut, values: &[T], enc
         for (place, &value) in block.iter_mut().zip(values) {
             *place = encode(value);
         }
-        dst.put_slice(block.get(..values.len()).unwrap_or_default().as_flattened());
+        dst.extend_from_slice(block.get(..values.len()).unwrap_or_default().as_flattened());
     }
 }
 

@@ -12,10 +12,10 @@ fn bytes_one_at_a_time_make_a_frame() {
     let mut codec = AsciiCodec::new();
     let mut buffer = BytesMut::new();
     for &byte in &READ[..READ.len() - 1] {
-        buffer.put_u8(byte);
+        buffer.extend_from_slice(&[byte]);
         assert_eq!(codec.decode(&mut buffer).unwrap(), None);
     }
-    buffer.put_u8(ETX);
+    buffer.extend_from_slice(&[ETX]);
     assert_eq!(codec.decode(&mut buffer).unwrap(), Some(read()));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
 }
@@ -25,7 +25,7 @@ fn one_read_can_bring_several_frames_and_a_part_of_the_next() {
     let mut codec = AsciiCodec::new();
     let mut buffer = BytesMut::from(&[QUERY, READ, QUERY, &READ[..6]].concat()[..]);
     assert_eq!(all(&mut codec, &mut buffer), [query(), read(), query()]);
-    buffer.put_slice(&READ[6..]);
+    buffer.extend_from_slice(&READ[6..]);
     assert_eq!(all(&mut codec, &mut buffer), [read()]);
 }
 
@@ -118,7 +118,7 @@ fn an_endless_frame_is_discarded_at_the_limit() {
     let mut buffer = BytesMut::from(&[STX][..]);
     let mut dropped = 0;
     for _ in 0..1000 {
-        buffer.put_slice(b"0123456");
+        buffer.extend_from_slice(b"0123456");
         for item in all(&mut codec, &mut buffer) {
             let Received::Discarded { bytes, .. } = item else { panic!("{item:?}") };
             dropped += bytes.len();
@@ -126,7 +126,7 @@ fn an_endless_frame_is_discarded_at_the_limit() {
         assert!(buffer.len() < 100);
     }
     assert_eq!(dropped + buffer.len(), 7001);
-    buffer.put_slice(QUERY);
+    buffer.extend_from_slice(QUERY);
     assert_eq!(all(&mut codec, &mut buffer).last(), Some(&query()));
 }
 
@@ -137,7 +137,7 @@ fn an_incomplete_frame_at_the_end_of_input_is_truncated() {
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(query()));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(discarded(Discard::Truncated, b"\x02014603R")));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
-    buffer.put_slice(QUERY);
+    buffer.extend_from_slice(QUERY);
     assert_eq!(all(&mut codec, &mut buffer), [query()], "the codec is still usable");
 }
 

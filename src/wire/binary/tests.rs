@@ -15,10 +15,10 @@ fn bytes_one_at_a_time_make_a_frame() {
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::new();
     for &byte in &VALUES[..VALUES.len() - 1] {
-        buffer.put_u8(byte);
+        buffer.extend_from_slice(&[byte]);
         assert_eq!(codec.decode(&mut buffer).unwrap(), None);
     }
-    buffer.put_u8(0xAA);
+    buffer.extend_from_slice(&[0xAA]);
     assert_eq!(codec.decode(&mut buffer).unwrap(), Some(values()));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
 }
@@ -28,7 +28,7 @@ fn one_read_can_bring_several_frames_and_a_part_of_the_next() {
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(&[OK, VALUES, OK, &VALUES[..5]].concat()[..]);
     assert_eq!(all(&mut codec, &mut buffer), [ok(), values(), ok()]);
-    buffer.put_slice(&VALUES[5..]);
+    buffer.extend_from_slice(&VALUES[5..]);
     assert_eq!(all(&mut codec, &mut buffer), [values()]);
 }
 
@@ -47,7 +47,7 @@ fn the_first_byte_of_a_header_waits_for_the_second() {
     let mut codec = BinaryCodec::client();
     let mut buffer = BytesMut::from(&b"\x52"[..]);
     assert_eq!(all(&mut codec, &mut buffer), []);
-    buffer.put_slice(OK);
+    buffer.extend_from_slice(OK);
     assert_eq!(all(&mut codec, &mut buffer), [discarded(Discard::Garbage, b"\x52"), ok()]);
 }
 
@@ -113,7 +113,7 @@ fn a_frame_ends_by_its_length_not_by_its_content() {
         // Byte by byte as well: a complete frame inside the payload is not decoded early.
         let (mut codec, mut buffer, mut items) = (BinaryCodec::client(), BytesMut::new(), Vec::new());
         for byte in outer {
-            buffer.put_u8(byte);
+            buffer.extend_from_slice(&[byte]);
             items.extend(all(&mut codec, &mut buffer));
         }
         assert_eq!(items, [expected], "{data:?}");
@@ -164,7 +164,7 @@ fn skip_partial_continues_after_the_first_byte() {
     assert_eq!(all(&mut codec, &mut buffer), []);
     codec.skip_partial();
     assert_eq!(all(&mut codec, &mut buffer), [discarded(Discard::Truncated, b"\x52\x10\x03\x00"), ok()]);
-    buffer.put_slice(OK);
+    buffer.extend_from_slice(OK);
     assert_eq!(all(&mut codec, &mut buffer), [ok()], "it skips once");
 }
 
@@ -176,7 +176,7 @@ fn reset_cancels_skip_partial() {
     codec.reset();
     let mut buffer = BytesMut::from(&OK[..5]);
     assert_eq!(all(&mut codec, &mut buffer), [], "an incomplete frame after the reset stays");
-    buffer.put_slice(&OK[5..]);
+    buffer.extend_from_slice(&OK[5..]);
     assert_eq!(all(&mut codec, &mut buffer), [ok()]);
 }
 
