@@ -6,9 +6,9 @@
 use std::future::poll_fn;
 use std::task::{Poll, Waker};
 
-use loom::future::{AtomicWaker, block_on};
-use loom::sync::atomic::Ordering::{AcqRel, Acquire, Release};
-use loom::sync::atomic::{AtomicBool, AtomicUsize};
+use loom::future::block_on;
+use loom::sync::atomic::Ordering::{AcqRel, Acquire, Release, SeqCst};
+use loom::sync::atomic::{AtomicBool, AtomicUsize, fence};
 use loom::sync::{Arc, Mutex};
 use loom::thread;
 
@@ -39,8 +39,12 @@ pub(crate) enum Fault {
     InboxForgotten,
     /// The task does not check the inbox after it has released the driver.
     LastCheckForgotten,
-    /// The task registers its waker after its work, not before.
+    /// The task sets its waker after its work, not before.
     WakerLate,
+    /// The task reads nothing again after it has set its waker.
+    NotReadAgain,
+    /// Nothing orders the release of the driver before the look at the inbox flag.
+    NoFence,
     /// The inbox flag is not set.
     NotPosted,
     /// The end of the task relies on the inbox flag.
@@ -62,10 +66,12 @@ impl Ending {
 }
 
 impl Fault {
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::InboxForgotten,
         Self::LastCheckForgotten,
         Self::WakerLate,
+        Self::NotReadAgain,
+        Self::NoFence,
         Self::NotPosted,
         Self::EndByFlag,
         Self::WokenBeforeReady,
@@ -88,6 +94,8 @@ struct Shared {
     posted: AtomicBool,
     /// `None` after the end of the task.
     slot: Lock<Option<DriverSlot>>,
+    /// That of the driver.
+    io_waker: Mutex<Arc<IoWaker>>,
     closed: AtomicBool,
     line: Arc<Line>,
     /// Number of ends of each call; each must be 1.
@@ -96,27 +104,36 @@ struct Shared {
 
 struct Line {
     fault: Option<Fault>,
-    /// Received bytes, and whether the reader waits for more.
-    received: Mutex<(Vec<Bytes>, bool)>,
-    io_waker: IoWaker,
+    /// Received bytes, and the waker of the reader that waits for more.
+    received: Mutex<(Vec<Bytes>, Option<Arc<IoWaker>>)>,
 }
 
+/// The waker of one task.
 struct IoWaker {
-    task: AtomicWaker,
+    task: Waker,
     ready: AtomicBool,
 }
 
+impl IoWaker {
+    fn new(task: &Waker) -> Arc<Self> {
+        Arc::new(Self { task: task.clone(), ready: AtomicBool::new(false) })
+    }
+}
+
 struct DriverSlot {
+    io_waker: Arc<IoWaker>,
+    /// `io_waker` is that of the task.
+    has_task: bool,
     queue: Vec<usize>,
     active: Option<usize>,
     read_armed: bool,
 }
 
 impl Line {
-    fn read(&self) -> Option<Bytes> {
+    fn read(&self, reader: &Arc<IoWaker>) -> Option<Bytes> {
         let mut received = self.received.lock().unwrap();
         if received.0.is_empty() {
-            received.1 = true;
+            received.1 = Some(reader.clone());
             return None;
         }
         Some(received.0.remove(0))
@@ -126,17 +143,15 @@ impl Line {
     fn receive(&self, bytes: Bytes) {
         let mut received = self.received.lock().unwrap();
         received.0.push(bytes);
-        let waiting = std::mem::take(&mut received.1);
+        let reader = received.1.take();
         drop(received);
-        if !waiting {
-            return;
-        }
+        let Some(reader) = reader else { return };
         if self.fault == Some(Fault::WokenBeforeReady) {
-            self.io_waker.task.wake();
-            self.io_waker.ready.store(true, Release);
+            reader.task.wake_by_ref();
+            reader.ready.store(true, Release);
         } else {
-            self.io_waker.ready.store(true, Release);
-            self.io_waker.task.wake();
+            reader.ready.store(true, Release);
+            reader.task.wake_by_ref();
         }
     }
 }
@@ -180,11 +195,18 @@ impl Shared {
     }
 
     fn drain_inbox(&self) {
-        while !self.inbox.lock().unwrap().is_empty() {
+        while self.has_posted() {
             let Some(mut slot) = self.slot.try_lock() else { return };
             let calls = self.take_inbox();
             self.serve(slot.as_mut(), calls);
         }
+    }
+
+    fn has_posted(&self) -> bool {
+        if !self.has(Fault::NoFence) {
+            fence(SeqCst);
+        }
+        self.posted.load(Acquire)
     }
 
     fn take_inbox(&self) -> Vec<usize> {
@@ -209,7 +231,7 @@ impl Shared {
 
     /// Advances the driver, for the task or a caller.
     fn advance(&self, slot: &mut DriverSlot) {
-        let ready = self.line.io_waker.ready.load(Acquire);
+        let ready = slot.io_waker.ready.load(Acquire);
         slot.read_armed = slot.read_armed && !ready || self.has(Fault::NothingRead) && slot.active.is_none();
         loop {
             if !slot.read_armed {
@@ -232,10 +254,15 @@ impl Shared {
     }
 
     fn read_all(&self, slot: &mut DriverSlot) {
+        let clear = |io_waker: &IoWaker| {
+            if io_waker.ready.load(Acquire) {
+                io_waker.ready.swap(false, AcqRel);
+            }
+        };
         if !self.has(Fault::ReadyClearedLate) {
-            self.line.io_waker.ready.swap(false, AcqRel);
+            clear(&slot.io_waker);
         }
-        while let Some(bytes) = self.line.read() {
+        while let Some(bytes) = self.line.read(&slot.io_waker) {
             match slot.active.take() {
                 None => assert_eq!(bytes, Bytes::Stale, "a reply without a request"),
                 Some(call) => {
@@ -245,18 +272,18 @@ impl Shared {
             }
         }
         if self.has(Fault::ReadyClearedLate) {
-            self.line.io_waker.ready.swap(false, AcqRel);
+            clear(&slot.io_waker);
         }
     }
 
     /// Polls the task once.
     fn poll(&self, waker: &Waker) -> Poll<()> {
-        if !self.has(Fault::WakerLate) {
-            self.line.io_waker.task.register(waker.clone());
-        }
         loop {
             let mut guard = self.slot.lock();
             let Some(slot) = guard.as_mut() else { return Poll::Ready(()) };
+            if !self.has(Fault::WakerLate) {
+                self.set_io_waker(slot, waker);
+            }
             let closed = self.closed.load(Acquire);
             slot.queue.extend(self.take_inbox());
             if closed {
@@ -266,15 +293,25 @@ impl Shared {
             if closed && slot.active.is_none() {
                 return Poll::Ready(());
             }
+            if self.has(Fault::WakerLate) {
+                self.set_io_waker(slot, waker);
+            }
             drop(guard);
-            if self.has(Fault::LastCheckForgotten) || self.inbox.lock().unwrap().is_empty() {
-                break;
+            if self.has(Fault::LastCheckForgotten) || !self.has_posted() {
+                return Poll::Pending;
             }
         }
-        if self.has(Fault::WakerLate) {
-            self.line.io_waker.task.register(waker.clone());
+    }
+
+    /// Sets the waker of the task, with its first poll.
+    fn set_io_waker(&self, slot: &mut DriverSlot, task: &Waker) {
+        // The waker is the same in each poll, but loom's do not know it.
+        if std::mem::replace(&mut slot.has_task, true) {
+            return;
         }
-        Poll::Pending
+        slot.io_waker = IoWaker::new(task);
+        slot.read_armed &= self.has(Fault::NotReadAgain);
+        *self.io_waker.lock().unwrap() = slot.io_waker.clone();
     }
 
     fn end(&self) {
@@ -292,7 +329,8 @@ impl Shared {
 
     fn close(&self) {
         self.closed.store(true, Release);
-        self.line.io_waker.task.wake();
+        let io_waker = self.io_waker.lock().unwrap().clone();
+        io_waker.task.wake_by_ref();
     }
 }
 
@@ -303,18 +341,22 @@ pub(crate) fn run(model: Model, ending: Ending, fault: Option<Fault>, bound: usi
     builder.preemption_bound = Some(bound);
     builder.max_branches = 100_000;
     builder.check(move || {
+        let none = IoWaker::new(Waker::noop());
         let shared = Arc::new(Shared {
             model,
             fault,
             inbox: Mutex::new(Vec::new()),
             posted: AtomicBool::new(false),
-            slot: Lock::new(Some(DriverSlot { queue: Vec::new(), active: None, read_armed: false })),
+            slot: Lock::new(Some(DriverSlot {
+                io_waker: none.clone(),
+                has_task: false,
+                queue: Vec::new(),
+                active: None,
+                read_armed: false,
+            })),
+            io_waker: Mutex::new(none),
             closed: AtomicBool::new(false),
-            line: Arc::new(Line {
-                fault,
-                received: Mutex::new((Vec::new(), false)),
-                io_waker: IoWaker { task: AtomicWaker::new(), ready: AtomicBool::new(false) },
-            }),
+            line: Arc::new(Line { fault, received: Mutex::new((Vec::new(), None)) }),
             ended: (0..CALLS).map(|_| AtomicUsize::new(0)).collect(),
         });
         let others = match model {
