@@ -4,6 +4,7 @@
 use fatek::wire::Framing;
 use fatek::{Link, LinkState};
 use futures::FutureExt;
+use tokio::io::DuplexStream;
 use tokio::runtime::Builder;
 
 /// Open files of this process, including the one opened to count them.
@@ -11,10 +12,11 @@ fn open_files() -> usize {
     std::fs::read_dir("/proc/self/fd").unwrap().count()
 }
 
-/// Creates a link whose task has run on a runtime that has ended.
-fn ended() -> Link {
+/// Creates a link whose task has run on a runtime that has ended, and the other end of its line. That has the
+/// waker of the last read.
+fn ended() -> (Link, DuplexStream) {
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-    let (client, _plc) = tokio::io::duplex(4096);
+    let (client, plc) = tokio::io::duplex(4096);
     let link = Link::from_stream(client, Framing::Ascii);
     let station = link.station(1).unwrap();
     runtime.block_on(async {
@@ -25,7 +27,7 @@ fn ended() -> Link {
             tokio::task::yield_now().await;
         }
     });
-    link
+    (link, plc)
 }
 
 #[test]
@@ -33,7 +35,7 @@ fn an_ended_link_keeps_no_files_open() {
     // Files that Tokio opens once stay open.
     let first = ended();
     let before = open_files();
-    let links: Vec<Link> = (0..10).map(|_| ended()).collect();
+    let links: Vec<(Link, DuplexStream)> = (0..10).map(|_| ended()).collect();
     assert_eq!(open_files(), before);
-    assert!(links.iter().chain([&first]).all(|link| matches!(link.state(), LinkState::Closed)));
+    assert!(links.iter().chain([&first]).all(|(link, _)| matches!(link.state(), LinkState::Closed)));
 }

@@ -39,10 +39,8 @@ pub(crate) enum Fault {
     InboxForgotten,
     /// The task does not check the inbox after it has released the driver.
     LastCheckForgotten,
-    /// The task sets its waker after its work, not before.
+    /// The task registers its waker after its work, not before.
     WakerLate,
-    /// The task reads nothing again after it has set its waker.
-    NotReadAgain,
     /// Nothing orders the release of the driver before the look at the inbox flag.
     NoFence,
     /// The inbox flag is not set.
@@ -66,11 +64,10 @@ impl Ending {
 }
 
 impl Fault {
-    pub(crate) const ALL: [Self; 10] = [
+    pub(crate) const ALL: [Self; 9] = [
         Self::InboxForgotten,
         Self::LastCheckForgotten,
         Self::WakerLate,
-        Self::NotReadAgain,
         Self::NoFence,
         Self::NotPosted,
         Self::EndByFlag,
@@ -94,8 +91,6 @@ struct Shared {
     posted: AtomicBool,
     /// `None` after the end of the task.
     slot: Lock<Option<DriverSlot>>,
-    /// That of the driver.
-    io_waker: Mutex<Arc<IoWaker>>,
     closed: AtomicBool,
     line: Arc<Line>,
     /// Number of ends of each call; each must be 1.
@@ -104,25 +99,26 @@ struct Shared {
 
 struct Line {
     fault: Option<Fault>,
-    /// Received bytes, and the waker of the reader that waits for more.
-    received: Mutex<(Vec<Bytes>, Option<Arc<IoWaker>>)>,
+    /// Received bytes, and whether the reader waits for more.
+    received: Mutex<(Vec<Bytes>, bool)>,
+    io_waker: IoWaker,
 }
 
-/// The waker of one task.
 struct IoWaker {
-    task: Waker,
+    task: Mutex<Option<Waker>>,
     ready: AtomicBool,
 }
 
 impl IoWaker {
-    fn new(task: &Waker) -> Arc<Self> {
-        Arc::new(Self { task: task.clone(), ready: AtomicBool::new(false) })
+    fn wake_task(&self) {
+        if let Some(task) = &*self.task.lock().unwrap() {
+            task.wake_by_ref();
+        }
     }
 }
 
 struct DriverSlot {
-    io_waker: Arc<IoWaker>,
-    /// `io_waker` is that of the task.
+    /// The task is registered.
     has_task: bool,
     queue: Vec<usize>,
     active: Option<usize>,
@@ -130,10 +126,10 @@ struct DriverSlot {
 }
 
 impl Line {
-    fn read(&self, reader: &Arc<IoWaker>) -> Option<Bytes> {
+    fn read(&self) -> Option<Bytes> {
         let mut received = self.received.lock().unwrap();
         if received.0.is_empty() {
-            received.1 = Some(reader.clone());
+            received.1 = true;
             return None;
         }
         Some(received.0.remove(0))
@@ -143,15 +139,17 @@ impl Line {
     fn receive(&self, bytes: Bytes) {
         let mut received = self.received.lock().unwrap();
         received.0.push(bytes);
-        let reader = received.1.take();
+        let waiting = std::mem::take(&mut received.1);
         drop(received);
-        let Some(reader) = reader else { return };
+        if !waiting {
+            return;
+        }
         if self.fault == Some(Fault::WokenBeforeReady) {
-            reader.task.wake_by_ref();
-            reader.ready.store(true, Release);
+            self.io_waker.wake_task();
+            self.io_waker.ready.store(true, Release);
         } else {
-            reader.ready.store(true, Release);
-            reader.task.wake_by_ref();
+            self.io_waker.ready.store(true, Release);
+            self.io_waker.wake_task();
         }
     }
 }
@@ -231,7 +229,7 @@ impl Shared {
 
     /// Advances the driver, for the task or a caller.
     fn advance(&self, slot: &mut DriverSlot) {
-        let ready = slot.io_waker.ready.load(Acquire);
+        let ready = self.line.io_waker.ready.load(Acquire);
         slot.read_armed = slot.read_armed && !ready || self.has(Fault::NothingRead) && slot.active.is_none();
         loop {
             if !slot.read_armed {
@@ -254,15 +252,15 @@ impl Shared {
     }
 
     fn read_all(&self, slot: &mut DriverSlot) {
-        let clear = |io_waker: &IoWaker| {
-            if io_waker.ready.load(Acquire) {
-                io_waker.ready.swap(false, AcqRel);
+        let clear = || {
+            if self.line.io_waker.ready.load(Acquire) {
+                self.line.io_waker.ready.swap(false, AcqRel);
             }
         };
         if !self.has(Fault::ReadyClearedLate) {
-            clear(&slot.io_waker);
+            clear();
         }
-        while let Some(bytes) = self.line.read(&slot.io_waker) {
+        while let Some(bytes) = self.line.read() {
             match slot.active.take() {
                 None => assert_eq!(bytes, Bytes::Stale, "a reply without a request"),
                 Some(call) => {
@@ -272,7 +270,7 @@ impl Shared {
             }
         }
         if self.has(Fault::ReadyClearedLate) {
-            clear(&slot.io_waker);
+            clear();
         }
     }
 
@@ -282,7 +280,7 @@ impl Shared {
             let mut guard = self.slot.lock();
             let Some(slot) = guard.as_mut() else { return Poll::Ready(()) };
             if !self.has(Fault::WakerLate) {
-                self.set_io_waker(slot, waker);
+                self.register(slot, waker);
             }
             let closed = self.closed.load(Acquire);
             slot.queue.extend(self.take_inbox());
@@ -294,7 +292,7 @@ impl Shared {
                 return Poll::Ready(());
             }
             if self.has(Fault::WakerLate) {
-                self.set_io_waker(slot, waker);
+                self.register(slot, waker);
             }
             drop(guard);
             if self.has(Fault::LastCheckForgotten) || !self.has_posted() {
@@ -303,15 +301,12 @@ impl Shared {
         }
     }
 
-    /// Sets the waker of the task, with its first poll.
-    fn set_io_waker(&self, slot: &mut DriverSlot, task: &Waker) {
+    /// Registers the task, with its first poll.
+    fn register(&self, slot: &mut DriverSlot, task: &Waker) {
         // The waker is the same in each poll, but loom's do not know it.
-        if std::mem::replace(&mut slot.has_task, true) {
-            return;
+        if !std::mem::replace(&mut slot.has_task, true) {
+            *self.line.io_waker.task.lock().unwrap() = Some(task.clone());
         }
-        slot.io_waker = IoWaker::new(task);
-        slot.read_armed &= self.has(Fault::NotReadAgain);
-        *self.io_waker.lock().unwrap() = slot.io_waker.clone();
     }
 
     fn end(&self) {
@@ -329,8 +324,7 @@ impl Shared {
 
     fn close(&self) {
         self.closed.store(true, Release);
-        let io_waker = self.io_waker.lock().unwrap().clone();
-        io_waker.task.wake_by_ref();
+        self.line.io_waker.wake_task();
     }
 }
 
@@ -341,22 +335,18 @@ pub(crate) fn run(model: Model, ending: Ending, fault: Option<Fault>, bound: usi
     builder.preemption_bound = Some(bound);
     builder.max_branches = 100_000;
     builder.check(move || {
-        let none = IoWaker::new(Waker::noop());
         let shared = Arc::new(Shared {
             model,
             fault,
             inbox: Mutex::new(Vec::new()),
             posted: AtomicBool::new(false),
-            slot: Lock::new(Some(DriverSlot {
-                io_waker: none.clone(),
-                has_task: false,
-                queue: Vec::new(),
-                active: None,
-                read_armed: false,
-            })),
-            io_waker: Mutex::new(none),
+            slot: Lock::new(Some(DriverSlot { has_task: false, queue: Vec::new(), active: None, read_armed: false })),
             closed: AtomicBool::new(false),
-            line: Arc::new(Line { fault, received: Mutex::new((Vec::new(), None)) }),
+            line: Arc::new(Line {
+                fault,
+                received: Mutex::new((Vec::new(), false)),
+                io_waker: IoWaker { task: Mutex::new(None), ready: AtomicBool::new(false) },
+            }),
             ended: (0..CALLS).map(|_| AtomicUsize::new(0)).collect(),
         });
         let others = match model {

@@ -9,10 +9,17 @@ use crate::wire::{FieldError, FieldReader, FieldWriter, Framing};
 pub(crate) struct StackReply<C, const N: usize>(pub(crate) C);
 
 /// A vector of at most `N` values, kept in an array.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct ArrayVec<T, const N: usize> {
     len: usize,
     values: [T; N],
+}
+
+/// Places behind the values may have those of an earlier reply.
+impl<T: PartialEq, const N: usize> PartialEq for ArrayVec<T, N> {
+    fn eq(&self, other: &Self) -> bool {
+        self.as_slice() == other.as_slice()
+    }
 }
 
 impl<T: Copy + Default, const N: usize> ArrayVec<T, N> {

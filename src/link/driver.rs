@@ -58,7 +58,6 @@ pub(crate) struct Driver {
     /// When the last written byte has left the machine.
     sent_until: Option<Instant>,
     state: Arc<SharedLinkState>,
-    /// Wakes the task that runs.
     io_waker: Arc<IoWaker>,
     /// All data were read after the ready flag was cleared, and the stream wakes its reader for
     /// more. So reading may be skipped while the flag is clear.
@@ -137,7 +136,7 @@ impl Driver {
             send_gate,
             sent_until: None,
             state,
-            io_waker: Arc::new(IoWaker::noop()),
+            io_waker: Arc::default(),
             read_armed: false,
             io: None,
             opening: None,
@@ -191,16 +190,9 @@ impl Driver {
         self.orphaned = true;
     }
 
-    /// Wakes the task that runs.
+    /// The waker of the link's task.
     pub(crate) fn io_waker(&self) -> &Arc<IoWaker> {
         &self.io_waker
-    }
-
-    /// Sets the waker for everything that [`advance`](Self::advance) waits for from now on.
-    pub(crate) fn set_io_waker(&mut self, io_waker: IoWaker) {
-        self.io_waker = Arc::new(io_waker);
-        // The stream has the waker from before.
-        self.read_armed = false;
     }
 
     /// Returns whether a call made now would be sent at once, as far as can be told.
@@ -222,7 +214,6 @@ impl Driver {
     /// Does all that can be done without waiting. `now` is the time if it was read a moment ago;
     /// `waker` is one of [`io_waker`](Self::io_waker).
     pub(crate) fn advance(&mut self, by: AdvancedBy, now: Option<Instant>, waker: &Waker) -> DriverStatus {
-        debug_assert!(std::ptr::addr_eq(waker.data(), Arc::as_ptr(&self.io_waker)), "a waker of an earlier task");
         self.run(by, &mut Clock(now), &mut Context::from_waker(waker))
     }
 
@@ -377,6 +368,8 @@ impl Driver {
         while self.received < MAX_BYTES_AT_ONCE {
             let Some(io) = &mut self.io else { return Ok(true) };
             self.io_waker.clear_ready();
+            // A frame that was taken from its beginning has left less room.
+            bytes.reserve(buffer::LEN);
             let read = match poll_read_buf(Pin::new(io), cx, bytes) {
                 Poll::Pending => return Ok(true),
                 Poll::Ready(read) => read?,

@@ -1,7 +1,7 @@
 //! The waker of a link's task, which records whether I/O woke it.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Wake, Waker};
 
 /// Wakes a link's task.
@@ -10,35 +10,40 @@ use std::task::{Wake, Waker};
 /// [`wake_task`](Self::wake_task), which does not. If the flag is clear, the socket has no unread
 /// data, and the driver skips the read.
 ///
-/// Each task of a link has its own, made by its first poll. So no lock and no exchange of wakers is
-/// needed to wake it.
+/// A task is registered once, by its first poll, and stays registered when it is woken. So it need
+/// not be registered by each poll.
 ///
 /// Invariant: no I/O event has come since the last [`clear_ready`](Self::clear_ready) and the read
 /// after it, unless the flag is set again.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct IoWaker {
-    task: Waker,
+    task: Mutex<Option<Waker>>,
     ready: AtomicBool,
 }
 
 impl IoWaker {
-    pub(crate) fn new(task: &Waker) -> Self {
-        Self { task: task.clone(), ready: AtomicBool::new(false) }
+    /// Registers the task to be woken.
+    pub(crate) fn register(&self, task: &Waker) {
+        let before = self.task().replace(task.clone());
+        drop(before);
     }
 
-    /// The waker of no task: none runs.
-    pub(crate) fn noop() -> Self {
-        Self::new(Waker::noop())
-    }
-
-    /// Returns whether it wakes this task.
-    pub(crate) fn wakes(&self, task: &Waker) -> bool {
-        self.task.will_wake(task)
+    /// Removes the task: a waker keeps its task's memory alive.
+    pub(crate) fn unregister(&self) {
+        let task = self.task().take();
+        drop(task);
     }
 
     /// Wakes the task without setting the flag.
     pub(crate) fn wake_task(&self) {
-        self.task.wake_by_ref();
+        // Under the lock: it is the waker of a task of Tokio, which schedules it and does no more.
+        if let Some(task) = &*self.task() {
+            task.wake_by_ref();
+        }
+    }
+
+    fn task(&self) -> MutexGuard<'_, Option<Waker>> {
+        self.task.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns whether an I/O event has come since the flag was cleared.
@@ -87,13 +92,12 @@ mod tests {
 
     #[test]
     fn io_sets_the_ready_flag_and_a_callers_wake_up_does_not() {
-        let woken = Arc::new(Count::default());
-        let task = Waker::from(woken.clone());
-        let io_waker = Arc::new(IoWaker::new(&task));
-        assert!(io_waker.wakes(&task) && !IoWaker::noop().wakes(&task));
+        let (io_waker, woken) = (Arc::new(IoWaker::default()), Arc::new(Count::default()));
         let waker = Waker::from(io_waker.clone());
         let wakes = |times| assert_eq!(woken.0.load(Ordering::Relaxed), times);
+        io_waker.wake_task();
         wakes(0);
+        io_waker.register(&Waker::from(woken.clone()));
         io_waker.wake_task();
         assert!(!io_waker.is_ready());
         wakes(1);
@@ -105,7 +109,9 @@ mod tests {
         waker.wake();
         assert!(io_waker.is_ready());
         wakes(3);
-        drop((task, io_waker));
+        io_waker.unregister();
         assert_eq!(Arc::strong_count(&woken), 1, "no waker of the task is kept");
+        io_waker.wake_task();
+        wakes(3);
     }
 }

@@ -31,7 +31,7 @@ mod tests;
 use std::any::Any;
 use std::collections::VecDeque;
 use std::future::{Future, poll_fn};
-use std::panic::{AssertUnwindSafe, RefUnwindSafe, catch_unwind, resume_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
@@ -54,8 +54,8 @@ pub(crate) struct Shared {
     posted: AtomicBool,
     /// `None` once the task has ended.
     slot: Mutex<Option<Box<DriverSlot>>>,
-    /// That of the driver: the task is woken without the driver's lock.
-    io_waker: Mutex<Arc<IoWaker>>,
+    /// Wakes the task.
+    io_waker: Arc<IoWaker>,
     started: AtomicBool,
     /// No new calls are accepted.
     closed: AtomicBool,
@@ -63,14 +63,13 @@ pub(crate) struct Shared {
     orphaned: AtomicBool,
 }
 
-/// `AtomicWaker` swaps wakers whole, and poisoning of the locks is ignored.
-impl RefUnwindSafe for Shared {}
-
 /// The driver, and the state of the task that goes with it. One thread has it at a time.
 struct DriverSlot {
     driver: Driver,
-    /// A waker of the driver's `io_waker`, for all that the driver waits for, and for the timer.
+    /// A waker of the link's `io_waker`, for all that the driver waits for, and for the timer.
     waker: Waker,
+    /// The task that `io_waker` wakes.
+    task: Option<Waker>,
     /// When the task's timer is due.
     timer: Option<Instant>,
     /// The panic of a transport while a caller was advancing the driver: the task resumes it.
@@ -84,8 +83,8 @@ impl Shared {
         Self {
             inbox: Mutex::default(),
             posted: AtomicBool::new(false),
-            slot: Mutex::new(Some(Box::new(DriverSlot { driver, waker, timer: None, panic: None }))),
-            io_waker: Mutex::new(io_waker),
+            slot: Mutex::new(Some(Box::new(DriverSlot { driver, waker, task: None, timer: None, panic: None }))),
+            io_waker,
             started: AtomicBool::new(false),
             closed: AtomicBool::new(false),
             orphaned: AtomicBool::new(false),
@@ -107,7 +106,7 @@ impl Shared {
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::SeqCst);
         if self.is_started(true) {
-            self.wake_task();
+            self.io_waker.wake_task();
         } else {
             // A task that was never started has nothing to finish.
             self.end();
@@ -117,25 +116,7 @@ impl Shared {
     /// Ends the link: the last handle was dropped.
     pub(crate) fn orphan(&self) {
         self.orphaned.store(true, Ordering::Release);
-        self.wake_task();
-    }
-
-    /// Wakes the task, if one runs.
-    fn wake_task(&self) {
-        // Not under the lock: a waker may run any code.
-        let io_waker = lock(&self.io_waker).clone();
-        io_waker.wake_task();
-    }
-
-    /// Sets the waker of the driver's I/O, and that of the task.
-    fn set_io_waker(&self, slot: &mut DriverSlot, task: IoWaker) {
-        slot.driver.set_io_waker(task);
-        let io_waker = slot.driver.io_waker().clone();
-        slot.waker = Waker::from(io_waker.clone());
-        // The timer has the waker from before.
-        slot.timer = None;
-        let before = std::mem::replace(&mut *lock(&self.io_waker), io_waker);
-        drop(before);
+        self.io_waker.wake_task();
     }
 
     /// Declares capabilities of a station.
@@ -164,7 +145,7 @@ impl Shared {
         });
         drop(slot);
         if needs_task {
-            self.wake_task();
+            self.io_waker.wake_task();
         }
         self.drain_inbox();
     }
@@ -181,7 +162,7 @@ impl Shared {
             let needs_task = slot.as_mut().is_some_and(|slot| slot.serve(None, calls, Instant::now()));
             drop(slot);
             if needs_task {
-                self.wake_task();
+                self.io_waker.wake_task();
             }
         }
     }
@@ -195,8 +176,8 @@ impl Shared {
     /// Returns whether the inbox has a call. Asked after the driver's lock was released, or was found
     /// taken: of a caller that posts and one that has the driver at least one sees the call.
     fn has_posted(&self) -> bool {
-        // Between the release of the lock and the look at the flag here, and between the flag and the
-        // attempt to lock in `submit`. Without it either could come too early for the other.
+        // One caller posts and then tries to lock again, in `drain_inbox`. The other releases the lock and
+        // then looks at the flag. Without a fence in both, either could miss what the other has done.
         fence(Ordering::SeqCst);
         self.posted.load(Ordering::Acquire)
     }
@@ -236,8 +217,9 @@ impl Shared {
         loop {
             let mut guard = lock(&self.slot);
             let Some(slot) = guard.as_mut() else { return Poll::Ready(TaskStatus::Ended) };
-            if !slot.driver.io_waker().wakes(cx.waker()) {
-                self.set_io_waker(slot, IoWaker::new(cx.waker()));
+            if !slot.task.as_ref().is_some_and(|task| task.will_wake(cx.waker())) {
+                self.io_waker.register(cx.waker());
+                slot.task = Some(cx.waker().clone());
             }
             if let Some(panic) = slot.panic.take() {
                 drop(guard);
@@ -300,13 +282,15 @@ impl Shared {
         if slot.panic.is_some() || !slot.driver.outlives_runtime() {
             return false;
         }
+        // A waker keeps the memory of its task, and with it that of the runtime. Removed before
+        // another task can start and register its own.
+        self.io_waker.unregister();
+        (slot.task, slot.timer) = (None, None);
         // Before the inbox is emptied: a call that comes later finds that the task must be started.
         self.started.store(false, Ordering::SeqCst);
         let inbox = std::mem::take(&mut *lock(&self.inbox));
         inbox.into_iter().for_each(|call| slot.driver.push(call, Instant::now()));
         slot.driver.runtime_ended();
-        // A waker keeps the memory of its task, and with it that of the runtime.
-        self.set_io_waker(slot, IoWaker::noop());
         drop(guard);
         // Closed in the meantime, by a caller that took the task for running: that has to end it
         // now.
@@ -320,8 +304,8 @@ impl Shared {
         if let Some(slot) = slot {
             slot.driver.finish();
         }
-        let before = std::mem::replace(&mut *lock(&self.io_waker), Arc::new(IoWaker::noop()));
-        drop(before);
+        // A waker keeps the memory of its task, and with it that of the runtime.
+        self.io_waker.unregister();
         // Dropping the calls ends them with the right error. The driver's lock was released before,
         // so a call that is posted later finds it free.
         drop(std::mem::take(&mut *lock(&self.inbox)));

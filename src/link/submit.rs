@@ -31,8 +31,8 @@ impl Link {
     }
 
     /// Makes a call, and waits for its result; `take` takes the reply, where it was decoded.
-    // All arguments are moved on before the first await: this future is part of the caller's, of
-    // which there may be thousands.
+    // The request is moved on before the first await: this future is part of the caller's, of which
+    // there may be thousands.
     pub(crate) async fn submit_with<C: Command, T>(
         &self,
         station: u8,
@@ -63,6 +63,7 @@ impl Link {
         };
         let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
         let (call, mut future) = call::new(request, meta, sending, options);
+        future.set_timer(deadline, runtime);
         // Lasts until the call has ended.
         let span = spans_are_on()
             .then(|| tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name()));
@@ -81,7 +82,7 @@ impl Link {
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut ended = future.ended_by(deadline, runtime).await;
+        let mut ended = future.ended_by(deadline).await;
         // This process may have been stopped until now, with the reply in the socket: the runtime
         // looks for events, and then the link's task reads it.
         for _ in 0..LOOKS_AT_DEADLINE {
@@ -177,7 +178,8 @@ impl Link {
 }
 
 /// Returns whether a subscriber may want the spans of calls. Mostly none does, and to make and enter
-/// two spans in vain costs a call more than this.
+/// two spans in vain costs a call more than this. With the feature `log` of `tracing` and no subscriber,
+/// events are logged and these spans are not.
 fn spans_are_on() -> bool {
     LevelFilter::current() >= LevelFilter::DEBUG
 }

@@ -23,6 +23,8 @@ pub(super) struct Plc {
     /// Bytes that the link has not read.
     pub(super) received: VecDeque<u8>,
     reader: Option<Waker>,
+    /// Number of reads that brought bytes.
+    pub(super) reads: usize,
     pub(super) value: u16,
     pub(super) answered: Vec<u8>,
     pub(super) broadcasts: u32,
@@ -94,6 +96,7 @@ impl AsyncRead for Line {
             plc.reader = Some(cx.waker().clone());
             return Poll::Pending;
         }
+        plc.reads += 1;
         let len = plc.received.len().min(into.remaining());
         into.put_slice(&plc.received.drain(..len).collect::<Vec<u8>>());
         Poll::Ready(Ok(()))

@@ -8,7 +8,7 @@
 //! `P = x^16 + x^15 + x^2 + 1` is `(x + 1) * Q`, with `Q = x^15 + x + 1`.
 //!
 //! - Modulo `x + 1` the remainder is the parity of all bits.
-//! - Modulo `Q`, `x^(15 * n) = x^n + 1` for each `n` that is a power of two, for squares are linear.
+//! - Modulo `Q`, `x^(15 * n) = x^n + 1` for each `n` that is a power of two, because squaring is linear over GF(2).
 //!   With `n = 64`, a word is added to those 14 and 15 places behind it, so that 15 words are left
 //!   of any number. With `n` of 32, 16 and 8, they become 8, 4 and 2 words, and with 4, 2 and 1 the
 //!   15 bits of the remainder.
@@ -142,22 +142,22 @@ fn of_4(Folded { words, sum }: Folded<4>) -> u16 {
 /// With `x^60 = x^4 + 1`, `x^30 = x^2 + 1` and `x^15 = x + 1`.
 #[inline]
 fn of_2(Folded { words: [a, b], sum }: Folded<2>) -> u16 {
-    let again = a << 56 ^ a << 60;
-    let word = b ^ a >> 8 ^ a >> 4 ^ again >> 8 ^ again >> 4;
+    let overflow = a << 56 ^ a << 60;
+    let word = b ^ a >> 8 ^ a >> 4 ^ overflow >> 8 ^ overflow >> 4;
 
     let high = word & LOW_34;
-    let moved = high << 30 ^ high << 28;
-    let again = moved & LOW_34;
-    let bits = (word ^ moved ^ again << 30 ^ again << 28) >> 34;
+    let shifted = high << 30 ^ high << 28;
+    let overflow = shifted & LOW_34;
+    let bits = (word ^ shifted ^ overflow << 30 ^ overflow << 28) >> 34;
 
     let high = bits & 0x7FFF;
-    let again = high & 1;
-    let remainder = bits >> 15 ^ high ^ high >> 1 ^ again << 14 ^ again << 13;
+    let overflow = high & 1;
+    let remainder = bits >> 15 ^ high ^ high >> 1 ^ overflow << 14 ^ overflow << 13;
 
     // Times x^16, which is x^2 + x.
     let product = remainder ^ remainder << 1;
-    let again = product & 3;
-    let modulo_q = product >> 2 ^ again << 12 ^ again << 13;
+    let overflow = product & 3;
+    let modulo_q = product >> 2 ^ overflow << 12 ^ overflow << 13;
 
     // The remainder modulo P is this one or this one plus Q, by the parity of the bits.
     let odd = (sum ^ modulo_q).count_ones() & 1 == 1;
@@ -217,7 +217,7 @@ mod tests {
         let by_table = Crc::<u16>::new(&CRC_16_MODBUS);
         for len in [1, 2, 7, 8, 15, 16, 17, 64, 65, 120, 121, 255, 300, 65_535] {
             let mut bytes = vec![0; len];
-            for at in (0..len).chain([0, len - 1]).step_by(len.div_ceil(300)) {
+            for at in (0..len).step_by(len.div_ceil(300)).chain([len - 1]) {
                 for bit in 0..8 {
                     bytes[at] = 1 << bit;
                     assert_eq!(checksum(&bytes), by_table.checksum(&bytes), "bit {bit} of byte {at} of {len}");

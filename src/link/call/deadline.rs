@@ -129,7 +129,8 @@ mod tests {
 
     /// Waits with a timer of the runtime that polls first.
     async fn ended_by(call: &mut CallFuture<ReadStatus>, deadline: Instant) -> bool {
-        call.ended_by(deadline, Handle::current().id()).await
+        call.set_timer(deadline, Handle::current().id());
+        call.ended_by(deadline).await
     }
 
     /// A call that waits for its deadline, this long from now. It ends then, so its timer is kept.

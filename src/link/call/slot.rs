@@ -42,21 +42,30 @@ impl<C: Command> CallFuture<C> {
         self.slot.state.fetch_or(ABANDONED, Ordering::AcqRel) & SENT != 0
     }
 
-    /// Waits until the call has ended or its deadline has passed. Returns whether it has ended:
-    /// [`take_result`](Self::take_result) has its result then. A result may be large, so it is moved
-    /// once. The caller runs on this runtime.
-    pub(crate) async fn ended_by(&mut self, deadline: Instant, runtime: Id) -> bool {
-        let task = &self.slot.task;
-        let mut timer = match self.timer.take().filter(|timer| timer.runtime() == runtime) {
-            Some(timer) => timer,
-            None => Box::new(CallTimer::new(deadline, runtime, task.clone())),
-        };
-        timer.begin(deadline);
-        let timer = self.timer.insert(timer);
-        let slot = &self.slot;
-        poll_fn(|cx| match slot.poll_ended(cx) {
-            Poll::Ready(()) => Poll::Ready(true),
-            Poll::Pending => timer.poll(deadline).map(|()| false),
+    /// Sets the timer of the deadline. The caller runs on this runtime: its timer must not be made by a
+    /// later poll, which may be on another one.
+    ///
+    /// # Panics
+    /// The runtime has no timers. So this comes before the request is sent.
+    pub(crate) fn set_timer(&mut self, deadline: Instant, runtime: Id) {
+        match &mut self.timer {
+            Some(timer) if timer.runtime() == runtime => timer.begin(deadline),
+            Some(_) | None => {
+                self.timer = Some(Box::new(CallTimer::new(deadline, runtime, self.slot.task.clone())));
+            }
+        }
+    }
+
+    /// Waits until the call has ended or its deadline has passed, for which the timer is set. Returns
+    /// whether it has ended: [`take_result`](Self::take_result) has its result then. A result may be large,
+    /// so it is moved once.
+    pub(crate) async fn ended_by(&mut self, deadline: Instant) -> bool {
+        debug_assert!(self.timer.is_some(), "a call waits without a timer");
+        let (slot, timer) = (&self.slot, &mut self.timer);
+        poll_fn(|cx| match (slot.poll_ended(cx), &mut *timer) {
+            (Poll::Ready(()), _) => Poll::Ready(true),
+            (Poll::Pending, Some(timer)) => timer.poll(deadline).map(|()| false),
+            (Poll::Pending, None) => Poll::Pending,
         })
         .await
     }
@@ -108,7 +117,8 @@ impl<C: Command> CallFuture<C> {
             let (slot, timer) = (self.slot.clone(), self.timer.take());
             // `keep` wants a slot that has no other holder.
             drop(self);
-            // The wake-up at the end of the call has taken the waker.
+            // The wake-up at the end of the call takes the waker. Until then the link has the slot, too, and it
+            // is given to no other call.
             spares::keep(slot, timer);
         }
     }

@@ -23,7 +23,7 @@ struct Spare {
     timer: KeptTimer,
 }
 
-/// The timer of a slot, which wakes the task of the slot. `None`: its call did not wait.
+/// The timer of a slot, which wakes the task of the slot. `None`: it was of another runtime.
 pub(super) type KeptTimer = Option<Box<CallTimer>>;
 
 struct Kept {

@@ -8,6 +8,7 @@ use tokio::task::yield_now;
 use tokio::time::Instant;
 
 use super::MAX_BYTES_AT_ONCE;
+use crate::link::buffer;
 use crate::link::test_line::Line;
 use crate::{CallOptions, Error, register};
 
@@ -78,4 +79,24 @@ async fn a_flood_of_bytes_is_read_to_its_end() {
     assert_eq!(line.plc().received.len(), 0, "it is read in turns with other tasks");
     assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [0]);
     assert_eq!(usize::try_from(link.stats().garbage_bytes), Ok(3 * MAX_BYTES_AT_ONCE));
+}
+
+/// A frame that begins at the end of a read. Before: each later read of the flood took one byte, the room
+/// that was left behind the bytes before it.
+#[tokio::test(start_paused = true)]
+async fn each_read_of_a_flood_has_room_for_a_frame() {
+    let line = Line::default();
+    let link = line.builder(true).build();
+    let station = link.station(1).expect("a station");
+    assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [0]);
+    let mut flood = vec![0xFF; MAX_BYTES_AT_ONCE];
+    flood.iter_mut().skip(buffer::LEN - 1).step_by(buffer::LEN).for_each(|byte| *byte = 0x02);
+    line.plc().send(&flood);
+    line.plc().reads = 0;
+    for _ in 0..20 {
+        yield_now().await;
+    }
+    assert_eq!(line.plc().received.len(), 0);
+    let reads = line.plc().reads;
+    assert!(reads <= 2 * MAX_BYTES_AT_ONCE / buffer::LEN, "{reads} reads");
 }

@@ -1,11 +1,13 @@
 //! Callers, the task and its runtime, over a line whose PLC answers at once.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::pin::pin;
 use std::sync::Mutex;
 use std::time::Duration;
 
 use futures::future::FutureExt;
-use tokio::task::yield_now;
+use tokio::task::coop::has_budget_remaining;
+use tokio::task::{consume_budget, yield_now};
 use tokio::time::Instant;
 
 use super::{Arc, lock};
@@ -25,7 +27,7 @@ async fn the_task_sends_a_call_that_found_the_driver_busy() {
         assert!(call.as_mut().now_or_never().is_none());
     }
     assert_eq!(lock(&link.inner.shared.inbox).len(), 1, "it was not sent");
-    link.inner.shared.wake_task();
+    link.inner.shared.io_waker.wake_task();
     assert_eq!(call.await.expect("the task takes it"), [0]);
 }
 
@@ -92,4 +94,49 @@ fn a_link_without_handles_ends_with_its_runtime() {
     assert!(matches!(*state.borrow(), LinkState::Up));
     drop(runtime);
     assert!(matches!(*state.borrow(), LinkState::Closed), "{:?}", *state.borrow());
+}
+
+/// With the timer made behind the request, the write was sent, and its caller panicked.
+#[test]
+fn a_call_without_a_timer_sends_nothing() {
+    let line = Line::default();
+    let with_time = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
+    let station = with_time.block_on(async {
+        let station = line.builder(true).build().station(1).expect("a station");
+        assert_eq!(station.read_registers(register!("R0"), 1).await.expect("it answers"), [0]);
+        station
+    });
+    line.plc().answered.clear();
+    let without_time = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
+    let write = || without_time.block_on(station.write_registers(register!("R0"), &[1]));
+    assert!(catch_unwind(AssertUnwindSafe(write)).is_err(), "a deadline needs a timer");
+    assert!(line.plc().answered.is_empty(), "it was sent");
+    with_time.block_on(async { station.read_registers(register!("R0"), 1).await.expect("it answers") });
+    assert!(!line.plc().answered.is_empty());
+}
+
+/// A call whose first poll has used up the budget of its task goes on where it is polled next. With the timer
+/// made there, a later call on the first runtime took that of the second one, which has ended, and panicked.
+#[test]
+fn the_timer_of_a_call_is_of_the_runtime_that_polls_it_first() {
+    let line = Line::default();
+    let builder = || tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_time().build();
+    let (first, second) = (builder().expect("a runtime"), builder().expect("a runtime"));
+    let link = line.builder(true).build();
+    let station = link.station(1).expect("a station");
+    let read = || async { station.read_registers(register!("R0"), 1).await.expect("it answers") };
+    // On another thread, so that this one has no timer for the call.
+    std::thread::scope(|scope| scope.spawn(|| first.block_on(read())).join()).expect("it does not panic");
+    let mut call = Box::pin(read());
+    first.block_on(async {
+        while has_budget_remaining() {
+            consume_budget().await;
+        }
+        assert!((&mut call).now_or_never().is_none(), "other tasks run first");
+    });
+    assert_eq!(second.block_on(call), [0]);
+    drop(second);
+    // A call that waits polls its timer.
+    line.plc().silent = true;
+    first.block_on(async { assert!(pin!(read()).now_or_never().is_none()) });
 }
