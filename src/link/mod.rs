@@ -305,7 +305,7 @@ impl Link {
 
     /// Closes the link for all its handles.
     ///
-    /// Waiting calls fail with [`Error::Closed`], the request on the wire is finished, and the
+    /// Waiting calls fail with [`Error::Closed`](crate::Error::Closed), the request on the wire is finished, and the
     /// connection is closed. Returns when that is done; later calls fail at once.
     ///
     /// Dropping the future does not undo it.
