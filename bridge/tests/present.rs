@@ -83,10 +83,10 @@ async fn after_an_outage_the_present_values_follow_the_backlog() {
     let number = |batch: &Value, key: &str| batch[key].as_u64().unwrap();
     assert!(number(&after[2], "seq") > number(&after[1], "seq"), "{after:?}");
     assert!(number(&after[2], "ts") > number(&after[1], "ts"), "it was read since: {after:?}");
-    // A value that was not read since keeps its time; it may have been read once or twice.
+    // A value that was not read since keeps its time. It may have been read again: the first reading comes soon
+    // after the start, and the next one at the phase of the class, after anything up to 15 s.
     let again = setup.wait_for("mixer", "recipe", 2).await;
-    let later = number(&again[1], "ts") - number(&recipe[0], "ts");
-    assert!(!is_hist(&again[1]) && (later == 0 || later > 14_000), "{recipe:?} {again:?}");
+    assert!(!is_hist(&again[1]) && number(&again[1], "ts") >= number(&recipe[0], "ts"), "{recipe:?} {again:?}");
     assert!(number(&again[1], "seq") > number(&recipe[0], "seq"));
     // A bad tag has no value, and the time since when it is bad.
     let dead = setup.wait_for("dead", "level", 2).await;
