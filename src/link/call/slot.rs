@@ -57,8 +57,7 @@ impl<C: Command> CallFuture<C> {
     }
 
     /// Waits until the call has ended or its deadline has passed, for which the timer is set. Returns
-    /// whether it has ended: [`take_result`](Self::take_result) has its result then. A result may be large,
-    /// so it is moved once.
+    /// whether it has ended. [`take_result`](Self::take_result) has its result then.
     pub(crate) async fn ended_by(&mut self, deadline: Instant) -> bool {
         debug_assert!(self.timer.is_some(), "a call waits without a timer");
         let (slot, timer) = (&self.slot, &mut self.timer);
