@@ -41,12 +41,6 @@ pub(crate) trait AnyCall: Send + Sync {
     /// How the request is sent.
     fn sending(&self) -> Sending;
 
-    /// The kind of the request, for the rule of `in_step`.
-    fn kind(&self) -> Kind;
-
-    /// The spelling that the caller has asked for.
-    fn plain(&self) -> Spelling;
-
     /// Other spellings of the request that the rule may choose.
     fn candidates(&self, framing: Framing) -> Candidates;
 
@@ -56,12 +50,9 @@ pub(crate) trait AnyCall: Send + Sync {
     /// The consecutive elements that a read covers.
     fn run(&self) -> Option<Run>;
 
-    /// Sets the spelling of the next transmission.
-    fn spell(&self, spelling: Spelling);
-
-    /// Appends the request to `dst` as a frame, in the spelling that is set. The request was checked for
-    /// this framing.
-    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut);
+    /// Appends the request to `dst` as a frame in this spelling, of which the caller learns. Returns the
+    /// shape of the positive reply. The request was checked for this framing.
+    fn encode(&self, spelling: Spelling, framing: Framing, station: u8, dst: &mut BytesMut) -> Shape;
 
     /// Decodes the data of a frame that has the right station and command, received at `now`.
     ///
@@ -161,9 +152,13 @@ pub(crate) struct PendingCall {
     /// does not count as a retry.
     pub(crate) unproven_once: bool,
     /// Another spelling was refused, so the request is sent as the caller made it.
-    pub(crate) plain: bool,
-    /// The spelling of the next transmission, or of the last one. The slot has it, too, for the caller.
-    spelling: Spelling,
+    pub(crate) only_plain: bool,
+    /// The kind of the request, for the rule of `in_step`.
+    pub(crate) kind: Kind,
+    /// The spelling that the caller has asked for.
+    pub(crate) plain: Spelling,
+    /// The spelling of the next transmission, or of the last one.
+    pub(crate) spelling: Spelling,
     /// A write was refused in another spelling when the station had this number of strays. With one
     /// more, the refusal may have been another request's, and the write may have been executed.
     pub(crate) refused_at: Option<u32>,
@@ -182,23 +177,23 @@ pub(crate) enum Cause {
 }
 
 /// A call in the framing of its link, as the rule of `in_step` sees it.
-pub(crate) struct CallInFraming<'a>(pub(crate) &'a dyn AnyCall, pub(crate) Framing);
+pub(crate) struct CallInFraming<'a>(pub(crate) &'a PendingCall, pub(crate) Framing);
 
 impl Spelled for CallInFraming<'_> {
     fn kind(&self) -> Kind {
-        self.0.kind()
+        self.0.kind
     }
 
     fn plain(&self) -> Spelling {
-        self.0.plain()
+        self.0.plain
     }
 
     fn candidates(&self) -> Candidates {
-        self.0.candidates(self.1)
+        self.0.slot.candidates(self.1)
     }
 
     fn shape(&self, spelling: Spelling) -> Shape {
-        self.0.shape(spelling, self.1)
+        self.0.slot.shape(spelling, self.1)
     }
 }
 
@@ -230,17 +225,6 @@ impl PendingCall {
         self.slot.unanswered(after, fault)
     }
 
-    /// The spelling that was set last; without one, that of the caller.
-    pub(crate) fn spelling(&self) -> Spelling {
-        self.spelling
-    }
-
-    /// Sets the spelling of the next transmission.
-    pub(crate) fn spell(&mut self, spelling: Spelling) {
-        self.spelling = spelling;
-        self.slot.spell(spelling);
-    }
-
     /// Returns whether the request is a write or a control command.
     pub(crate) fn is_write(&self) -> bool {
         self.code.class() != Class::Read
@@ -262,6 +246,7 @@ impl std::fmt::Debug for PendingCall {
         write!(f, "PendingCall(station {}, {}, {:?})", self.station, self.code, self.lane)
     }
 }
+
 /// Makes the two halves of a call. `options` have its retries.
 pub(crate) fn new<C: Command>(
     request: C,
@@ -271,7 +256,7 @@ pub(crate) fn new<C: Command>(
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = options.retries_for(C::CODE.class());
     let check_retries_left = options.retries.saturating_sub(retries_left);
-    let spelling = request.plain();
+    let (kind, plain) = (kind_of(&request), request.plain());
     let (slot, timer) = match spares::take::<C>() {
         None => (Arc::new(CallSlot::new(request, meta.station, sending)), None),
         Some((mut spare, timer)) => match Arc::get_mut(&mut spare) {
@@ -287,13 +272,25 @@ pub(crate) fn new<C: Command>(
         meta,
         retries_left,
         unproven_once: false,
-        plain: false,
-        spelling,
+        only_plain: false,
+        kind,
+        plain,
+        spelling: plain,
         refused_at: None,
         check_retries_left,
         cause: None,
     };
     (call, CallFuture::new(slot, timer))
+}
+
+/// The kind of a request, for the rule of `in_step`.
+fn kind_of<C: Command>(request: &C) -> Kind {
+    match C::CODE.class() {
+        Class::Write | Class::Control => Kind::Once,
+        Class::Read if request.is_like_a_refusal() => Kind::Once,
+        Class::Read if C::CODE == Code::ReadProgramPage => Kind::Page,
+        Class::Read => Kind::Read,
+    }
 }
 
 /// Locks a mutex. Poisoning is ignored: each of these mutexes holds a complete value at all times.

@@ -152,11 +152,10 @@ impl Core {
     /// Decides what is to be done now.
     pub(crate) fn next_action(&mut self, now: Instant) -> Action {
         loop {
-            if let Some(active) = self.exchange.active() {
-                if now < active.deadline {
-                    self.has_read_again = false;
-                    return Action::Wait(Some(active.deadline));
-                }
+            if let Some(until) = self.reply_due(now) {
+                return Action::Wait(Some(until));
+            }
+            if !self.is_idle() {
                 // This process may have been stopped, with the reply in the socket.
                 if !std::mem::replace(&mut self.has_read_again, true) {
                     return Action::ReadAgain;
@@ -206,6 +205,16 @@ impl Core {
             if let Some(until) = self.hold_until.max(gap_until).filter(|&until| now < until) {
                 return Action::Wait(Some(until));
             }
+            if !self.has_waiting() {
+                // Mostly the only call has just been answered, and the rest of this would find nothing to do.
+                match self.idle_at() {
+                    Some(idle_at) if idle_at <= now => {
+                        self.used_at = None;
+                        return self.disconnect();
+                    }
+                    idle_at => return Action::Wait(idle_at),
+                }
+            }
             // Checked before the probes: they alone are no reason to stay connected.
             if self.falls_idle(now) {
                 return self.disconnect();
@@ -217,6 +226,14 @@ impl Core {
                 return action;
             }
         }
+    }
+
+    /// When the request on the wire is given up, if that is later than now.
+    #[inline]
+    pub(crate) fn reply_due(&mut self, now: Instant) -> Option<Instant> {
+        let until = self.exchange.active().map(|active| active.deadline).filter(|&until| now < until)?;
+        self.has_read_again = false;
+        Some(until)
     }
 
     /// The bytes to be written.
@@ -479,6 +496,11 @@ impl Core {
     /// Returns whether the next action may be to send a request, or to open a connection for one.
     pub(crate) fn wants_to_send(&mut self, now: Instant) -> bool {
         self.is_idle() && self.has_work(now)
+    }
+
+    /// Returns whether anything may be to send, now or later: a call waits, or a station is offline.
+    fn has_waiting(&self) -> bool {
+        self.resynced.is_some() || self.scheduler.has_calls() || self.stations.has_offline()
     }
 
     fn has_work(&mut self, now: Instant) -> bool {

@@ -247,6 +247,13 @@ impl Driver {
                         let late = self.io.as_deref_mut().map(<dyn Io>::take_late).unwrap_or_default();
                         self.core.late_datagrams(late);
                         self.read_armed = self.read_armed && self.connector.wakes_reader();
+                        // Mostly there is nothing to do but to wait for the reply.
+                        if self.read_armed
+                            && !self.io_waker.is_ready()
+                            && let Some(until) = self.core.reply_due(clock.now())
+                        {
+                            return DriverStatus::Waiting(Some(until));
+                        }
                     }
                     Poll::Ready(Err(Unwritten::GateClosed { partly })) => self.gate_closed(partly, clock.now()),
                     Poll::Ready(Err(Unwritten::Lost(error))) => self.connection_lost(error, clock.now()),

@@ -82,37 +82,25 @@ impl Outgoing {
         }
     }
 
-    /// Shape of the positive reply.
-    pub(crate) fn shape(&self, framing: Framing) -> Shape {
-        match self {
-            Self::Call(call) => call.slot.shape(call.spelling(), framing),
-            Self::Link { request, nonce, .. } => match request {
-                LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
-                    let data = loop_back(*check, *nonce);
-                    Shape { code: LoopBack::CODE, size: data.reply_size(data.plain(), framing) }
-                }
-                LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => in_step::Check::STATUS,
-                LinkRequest::Check(in_step::Check::Detail) => in_step::Check::DETAIL,
-            },
-        }
-    }
-
-    /// Appends the request as a frame. A call was checked when it was made, and both framings have all
-    /// requests of the link.
-    fn encode(&self, framing: Framing, tx: &mut BytesMut) {
+    /// Appends the request as a frame. Returns the shape of its positive reply. A call was checked when it
+    /// was made, and both framings have all requests of the link.
+    fn encode(&self, framing: Framing, tx: &mut BytesMut) -> Shape {
         let station = self.station();
         match self {
-            Self::Call(call) => call.slot.encode(framing, station, tx),
+            Self::Call(call) => call.slot.encode(call.spelling, framing, station, tx),
             Self::Link { request, nonce, .. } => match request {
                 LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
                     let data = loop_back(*check, *nonce);
                     command::encode_spelled(&data, data.plain(), framing, station, tx);
+                    Shape { code: LoopBack::CODE, size: data.reply_size(data.plain(), framing) }
                 }
                 LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => {
                     command::encode_spelled(&ReadStatus, ReadStatus.plain(), framing, station, tx);
+                    in_step::Check::STATUS
                 }
                 LinkRequest::Check(in_step::Check::Detail) => {
                     command::encode_spelled(&ReadDetailedStatus, ReadDetailedStatus.plain(), framing, station, tx);
+                    in_step::Check::DETAIL
                 }
             },
         }
@@ -292,13 +280,12 @@ impl Exchange {
         by: Instant,
     ) -> usize {
         let mut request = buffer::borrow();
-        outgoing.encode(self.framing(), &mut request);
+        let shape = outgoing.encode(self.framing(), &mut request);
         self.request_len = request.len();
         self.request_fingerprint = echo_fingerprint(self.framing(), &request);
         self.request = request;
         self.on_the_line(self.request_len);
         let stale = self.forget();
-        let shape = outgoing.shape(self.framing());
         self.active = Some(Active {
             shape,
             reply: None,

@@ -184,6 +184,12 @@ impl Scheduler {
         self.only.as_ref().is_some_and(PendingCall::is_write) || self.queued > 0 && self.stations.values().any(writes)
     }
 
+    /// Returns whether a call waits, wanted or not.
+    #[inline]
+    pub(crate) fn has_calls(&self) -> bool {
+        self.only.is_some() || self.queued > 0
+    }
+
     /// Returns whether a call waits whose station may be served now.
     pub(crate) fn has_work(&mut self, now: Instant) -> bool {
         self.only.take_if(|call| !keep(call, now));

@@ -124,6 +124,12 @@ impl Stations {
         self.offline_until(station)
     }
 
+    /// Returns whether any station is offline.
+    #[inline]
+    pub(crate) fn has_offline(&self) -> bool {
+        self.offline > 0
+    }
+
     /// When the next probe of an offline station is due; later, if others are due as well. `None`:
     /// online.
     pub(crate) fn offline_until(&self, station: u8) -> Option<Instant> {

@@ -10,7 +10,7 @@ use tokio::time::Instant;
 use tracing::Instrument;
 use tracing::level_filters::LevelFilter;
 
-use super::call::{self, CallMeta, Sending};
+use super::call::{self, CallFuture, CallMeta, Sending};
 use super::in_step::{Proof, Shape};
 use super::options::CallOptions;
 use super::state::LinkState;
@@ -19,7 +19,19 @@ use crate::command::{Command, Spelling};
 use crate::error::{Error, Rounded};
 
 impl Link {
-    /// Makes a call, and waits for its result.
+    /// Makes a call of a single request, and waits for its result; `take` takes the reply, where it was
+    /// decoded.
+    pub(crate) fn call<C: Command, T>(
+        &self,
+        station: u8,
+        request: C,
+        options: &CallOptions,
+        take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
+    ) -> impl Future<Output = Result<T, Error>> {
+        self.submit_with((station, request), Purpose::Whole, options, take, |result, _| result)
+    }
+
+    /// Makes a call, and waits for its result and for what its reply has shown.
     pub(crate) fn submit<C: Command>(
         &self,
         station: u8,
@@ -27,26 +39,37 @@ impl Link {
         purpose: Purpose,
         options: &CallOptions,
     ) -> impl Future<Output = CallOutcome<C::Reply>> {
-        self.submit_with(station, request, purpose, options, Option::take)
+        let (plain, framing) = (request.plain(), self.framing());
+        self.submit_with((station, request), purpose, options, Option::take, move |result, ended| {
+            let spelling = ended.as_ref().map_or(plain, |ended| ended.call.spelling());
+            CallOutcome {
+                result,
+                spelling,
+                replied_at: ended.as_ref().and_then(|ended| ended.replied_at),
+                shape: ended.as_ref().map_or(Shape { code: plain.code, size: 0 }, |ended| ended.call.shape(framing)),
+                proof: ended.map_or(Proof::default(), |ended| ended.call.proof()),
+            }
+        })
     }
 
-    /// Makes a call, and waits for its result; `take` takes the reply, where it was decoded.
+    /// Makes a call, and waits for its result. `take` takes the reply, where it was decoded; `outcome`
+    /// makes the output, from the result and from the call, unless no call was made.
     // The request is moved on before the first await: this future is part of the caller's, of which
     // there may be thousands.
-    pub(crate) async fn submit_with<C: Command, T>(
+    async fn submit_with<C: Command, T, R>(
         &self,
-        station: u8,
-        request: C,
+        (station, request): (u8, C),
         purpose: Purpose,
         options: &CallOptions,
         take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
-    ) -> CallOutcome<T> {
+        outcome: impl FnOnce(Result<T, Error>, Option<EndedCall<'_, C>>) -> R,
+    ) -> R {
         let queued_at = Instant::now();
         let deadline = later(queued_at, options.call_timeout);
         let checked = request.check(self.framing()).map_err(Error::from);
         let runtime = match checked.and_then(|()| self.prepare()) {
             Ok(runtime) => runtime,
-            Err(error) => return CallOutcome::none(Err(error), request.plain()),
+            Err(error) => return outcome(Err(error), None),
         };
         let meta = CallMeta {
             station,
@@ -61,14 +84,13 @@ impl Link {
             adaptive: options.adaptive,
             part: purpose == Purpose::Part,
         };
-        let in_job = matches!(purpose, Purpose::InJob | Purpose::Part);
         let (call, mut future) = call::new(request, meta, sending, options);
         future.set_timer(deadline, runtime);
         // Lasts until the call has ended.
         let span = spans_are_on()
             .then(|| tracing::debug_span!("call", link = %self.inner.name, station, command = C::CODE.name()));
         // Work for the link may also serve calls of others, so it runs in the link's span.
-        if spans_are_on() {
+        if span.is_some() {
             self.span().in_scope(|| self.inner.shared.submit(call));
         } else {
             self.inner.shared.submit(call);
@@ -77,39 +99,23 @@ impl Link {
         if !self.inner.shared.is_started(false)
             && let Err(error) = self.start()
         {
-            return CallOutcome::none(Err(error), future.spelling());
+            return outcome(Err(error), None);
         }
         // A call may be ready at once: a broadcast is done when it is written. Other tasks must run
         // all the same.
         consume_budget().await;
-        let mut ended = future.ended_by(deadline).await;
-        // This process may have been stopped until now, with the reply in the socket: the runtime
-        // looks for events, and then the link's task reads it.
-        for _ in 0..LOOKS_AT_DEADLINE {
-            if ended {
-                break;
-            }
-            yield_now().await;
-            ended = future.has_ended();
-        }
+        let ended = future.ended_by(deadline).await || ends_late(&future).await;
         drop(span);
-        let spelling = future.spelling();
-        let result = if ended {
+        let (mut result, replied_at) = if ended {
             future.take_result(take)
         } else {
             future.abandon();
-            Err(future.unanswered(queued_at.elapsed()))
+            (Err(future.unanswered(queued_at.elapsed())), None)
         };
-        let mut outcome = CallOutcome {
-            result,
-            replied_at: future.replied_at(),
-            spelling,
-            shape: if in_job { future.shape(self.framing()) } else { Shape { code: spelling.code, size: 0 } },
-            proof: future.proof(),
-        };
-        if outcome.result.is_err() {
-            outcome.result = outcome.result.map_err(|error| self.explain(error, deadline));
+        if result.is_err() {
+            result = result.map_err(|error| self.explain(error, deadline));
         }
+        let outcome = outcome(result, Some(EndedCall { call: &future, replied_at }));
         future.recycle();
         outcome
     }
@@ -188,6 +194,20 @@ fn spans_are_on() -> bool {
 /// once more for the link's task.
 const LOOKS_AT_DEADLINE: u32 = 3;
 
+/// Waits a little longer for a call whose deadline has passed; returns whether it has ended. This process
+/// may have been stopped until now, with the reply in the socket: the runtime looks for events, and then
+/// the link's task reads it.
+#[cold]
+async fn ends_late<C: Command>(call: &CallFuture<C>) -> bool {
+    for _ in 0..LOOKS_AT_DEADLINE {
+        yield_now().await;
+        if call.has_ended() {
+            return true;
+        }
+    }
+    false
+}
+
 /// Purpose of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
@@ -202,27 +222,22 @@ pub(crate) enum Purpose {
     Confirm,
 }
 
-/// The result of a call, and what its reply has shown.
+/// The result of a call, and what its reply has shown, as a job needs it.
 pub(crate) struct CallOutcome<T> {
     pub(crate) result: Result<T, Error>,
     /// When the reply came, if there was one.
     pub(crate) replied_at: Option<Instant>,
     /// The spelling that was sent.
     pub(crate) spelling: Spelling,
-    /// Shape of the positive reply, within a job.
+    /// Shape of the positive reply to that spelling.
     pub(crate) shape: Shape,
     /// The station's proof when the reply was taken.
     pub(crate) proof: Proof,
 }
 
-impl<T> CallOutcome<T> {
-    fn none(result: Result<T, Error>, spelling: Spelling) -> Self {
-        Self {
-            result,
-            replied_at: None,
-            spelling,
-            shape: Shape { code: spelling.code, size: 0 },
-            proof: Proof::default(),
-        }
-    }
+/// A call that has ended, for its output.
+struct EndedCall<'a, C: Command> {
+    call: &'a CallFuture<C>,
+    /// When the reply came, if there was one.
+    replied_at: Option<Instant>,
 }

@@ -8,7 +8,7 @@ use crate::command::{
 };
 use crate::element::{Discrete, Element, Register, Register32};
 use crate::error::Error;
-use crate::link::{CallOptions, Link, Purpose};
+use crate::link::{CallOptions, Link};
 
 /// All PLCs of a [`Link`] at once: station 0. Cheap to clone.
 ///
@@ -102,7 +102,7 @@ impl Broadcast {
         if C::CODE.class() == Class::Read {
             return Err(InvalidRequest::NoBroadcast { code: C::CODE }.into());
         }
-        self.link.submit(0, request, Purpose::Whole, &self.options.with_retries(0)).await.result
+        self.link.call(0, request, &self.options.with_retries(0), Option::take).await
     }
 }
 

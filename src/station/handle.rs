@@ -162,7 +162,7 @@ impl Station {
     /// # Errors
     /// Those of [every method](Self#errors).
     pub async fn call<C: Command>(&self, request: C) -> Result<C::Reply, Error> {
-        self.link.submit(self.number, request, Purpose::Whole, &self.options).await.result
+        self.call_with(request, Option::take).await
     }
 
     /// As [`call`](Self::call); `take` takes the reply, where it was decoded.
@@ -171,7 +171,7 @@ impl Station {
         request: C,
         take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
     ) -> Result<T, Error> {
-        self.link.submit_with(self.number, request, Purpose::Whole, &self.options, take).await.result
+        self.link.call(self.number, request, &self.options, take).await
     }
 
     /// Makes a call for this purpose, and returns its result and proof.

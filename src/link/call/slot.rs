@@ -19,7 +19,7 @@ use super::deadline::{CallTask, CallTimer};
 use super::{AnyCall, Sending, lock, spares};
 use crate::command::{self, Candidates, Class, Code, Command, NO_CANDIDATES, ReplyError, Run, Spelling};
 use crate::error::{Error, ErrorCode, Seen};
-use crate::link::in_step::{Kind, Proof, Shape};
+use crate::link::in_step::{Proof, Shape};
 use crate::wire::{FieldError, Framing};
 
 /// The caller's half of a call: a future of its result. Dropping it abandons the call.
@@ -28,12 +28,11 @@ pub(crate) struct CallFuture<C: Command> {
     slot: Arc<CallSlot<C>>,
     /// The timer of the deadline, or the one that the slot was kept with.
     timer: Option<Box<CallTimer>>,
-    replied_at: Option<Instant>,
 }
 
 impl<C: Command> CallFuture<C> {
     pub(super) fn new(slot: Arc<CallSlot<C>>, timer: Option<Box<CallTimer>>) -> Self {
-        Self { slot, timer, replied_at: None }
+        Self { slot, timer }
     }
 
     /// Gives the call up. Returns whether the request, or a part of it, has been sent; if not, it
@@ -73,24 +72,26 @@ impl<C: Command> CallFuture<C> {
         self.slot.has_ended()
     }
 
-    /// Takes the result of a call that has ended; `take` takes the reply. A result that was taken already
-    /// is an error rather than a panic.
+    /// Takes the result of a call that has ended, and when its reply came, if there was one; `take` takes
+    /// the reply. A result that was taken already is an error rather than a panic.
     #[inline]
-    pub(crate) fn take_result<T>(&mut self, take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>) -> Result<T, Error> {
+    pub(crate) fn take_result<T>(
+        &self,
+        take: impl FnOnce(&mut Option<C::Reply>) -> Option<T>,
+    ) -> (Result<T, Error>, Option<Instant>) {
         let mut slot = lock(&self.slot.result);
         let CallResult { result, reply, at } = &mut *slot;
-        self.replied_at = at.take();
-        result.take().transpose()?.and_then(|()| take(reply)).ok_or(Error::Closed { sent: true })
+        let result = match result.take() {
+            Some(Ok(())) => take(reply).ok_or(Error::Closed { sent: true }),
+            Some(Err(error)) => Err(error),
+            None => Err(Error::Closed { sent: true }),
+        };
+        (result, at.take())
     }
 
     /// The error of the call if it ends without a reply after this time.
     pub(crate) fn unanswered(&self, after: Duration) -> Error {
         self.slot.unanswered(after, None)
-    }
-
-    /// When the reply came: after the future is ready, and if there was a reply.
-    pub(crate) fn replied_at(&self) -> Option<Instant> {
-        self.replied_at
     }
 
     /// The spelling of the request that was answered.
@@ -127,8 +128,8 @@ impl<C: Command> CallFuture<C> {
 impl<C: Command> Future for CallFuture<C> {
     type Output = Result<C::Reply, Error>;
 
-    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
-        self.slot.poll_ended(cx).map(|()| self.take_result(Option::take))
+    fn poll(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+        self.slot.poll_ended(cx).map(|()| self.take_result(Option::take).0)
     }
 }
 
@@ -240,12 +241,12 @@ impl<C: Command> CallSlot<C> {
         self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0
     }
 
-    /// Returns the spelling that was set last; without one, that of the caller.
+    /// Returns the spelling that was sent last; before the first one, that of the caller.
     fn spelling(&self) -> Spelling {
         let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
         match Code::from_u8(code) {
             Some(code) => Spelling { code, count: u16::from_be_bytes([high, low]), before: before != 0 },
-            None => self.plain(),
+            None => self.request().map_or(Spelling::new(C::CODE, 0), C::plain),
         }
     }
 
@@ -279,19 +280,6 @@ impl<C: Command> AnyCall for CallSlot<C> {
         self.sending
     }
 
-    fn kind(&self) -> Kind {
-        match (C::CODE.class(), self.request()) {
-            (Class::Write | Class::Control, _) | (Class::Read, None) => Kind::Once,
-            (Class::Read, Some(request)) if request.is_like_a_refusal() => Kind::Once,
-            (Class::Read, Some(_)) if C::CODE == Code::ReadProgramPage => Kind::Page,
-            (Class::Read, Some(_)) => Kind::Read,
-        }
-    }
-
-    fn plain(&self) -> Spelling {
-        self.request().map_or(Spelling::new(C::CODE, 0), C::plain)
-    }
-
     fn candidates(&self, framing: Framing) -> Candidates {
         self.request().map_or(NO_CANDIDATES, |request| request.candidates(self.sending.part, framing))
     }
@@ -305,17 +293,15 @@ impl<C: Command> AnyCall for CallSlot<C> {
         self.request().filter(|_| C::CODE.class() == Class::Read)?.run()
     }
 
-    fn spell(&self, spelling: Spelling) {
+    fn encode(&self, spelling: Spelling, framing: Framing, station: u8, dst: &mut BytesMut) -> Shape {
         let [high, low] = spelling.count.to_be_bytes();
         let bits = u32::from_be_bytes([spelling.before.into(), spelling.code.into(), high, low]);
         self.spelling.store(bits, Ordering::Release);
-    }
-
-    fn encode(&self, framing: Framing, station: u8, dst: &mut BytesMut) {
         if let Some(request) = self.request() {
             debug_assert!(request.check(framing).is_ok(), "a request is checked before it is queued");
-            command::encode_spelled(request, self.spelling(), framing, station, dst);
+            command::encode_spelled(request, spelling, framing, station, dst);
         }
+        self.shape(spelling, framing)
     }
 
     fn try_complete(

@@ -211,7 +211,7 @@ fn a_reply_in_a_slot_is_the_result_of_its_own_call_only() {
     let read = || StackReply::<_, 4>(ReadRegisters::new(Register::r(0), 2).expect("a read"));
     let reply = |call: &PendingCall, data: &[u8]| call.slot.try_complete(Framing::Ascii, 7, data, Instant::now());
     let copied = |future: &mut CallFuture<StackReply<ReadRegisters<Register>, 4>>| {
-        future.take_result(|reply| Some(reply.as_ref()?.as_slice().to_vec()))
+        future.take_result(|reply| Some(reply.as_ref()?.as_slice().to_vec())).0
     };
     let (first, mut future) = call_of(read(), CallOptions::new());
     assert_eq!(reply(&first, b"000010002"), Ok(None));
@@ -255,7 +255,7 @@ fn only_a_loop_back_of_one_byte_could_be_a_refusal() {
     for (data, kind) in [("", Kind::Read), ("4", Kind::Once), ("44", Kind::Read)] {
         let request = LoopBack::new(data).expect("a short one");
         let (call, _future) = call_of(request, CallOptions::new());
-        assert_eq!(call.slot.kind(), kind, "{data:?}");
+        assert_eq!(call.kind, kind, "{data:?}");
     }
 }
 

@@ -109,7 +109,7 @@ impl Core {
                     self.connection.spend();
                 }
                 let slot = &*call.slot;
-                let kind = slot.kind();
+                let kind = call.kind;
                 if active.followed {
                     self.stations.with_in_step(station, InStep::followed);
                 }
@@ -122,7 +122,7 @@ impl Core {
                 }
                 self.answered(station, measured, now);
                 let rule = self.rule(station);
-                let (plain, spelling, run) = (slot.plain(), call.spelling(), slot.run());
+                let (plain, spelling, run) = (call.plain, call.spelling, slot.run());
                 if reply.refused && spelling != plain {
                     // Only the spelling may be refused.
                     let lacks = active.refusal.is_some_and(ErrorCode::is_about_the_command);
@@ -223,7 +223,7 @@ impl Core {
         call.refused_at = refused_at;
         call.slot.retract();
         call.slot.uncount_send();
-        call.plain = true;
+        call.only_plain = true;
         self.scheduler.push_front(call);
     }
 

@@ -86,7 +86,7 @@ impl Core {
         let (rule, framing) = (self.rule(station), self.config.framing);
         let choice = self.stations.with_in_step(station, |in_step| match call.confirms {
             true => in_step.confirm(&rule, now).ok_or(in_step.proof()),
-            false => Ok(in_step.choose(&CallInFraming(&*call.slot, framing), call.plain, &rule, now)),
+            false => Ok(in_step.choose(&CallInFraming(&call, framing), call.only_plain, &rule, now)),
         });
         match choice {
             Ok(Choice::Send(_)) if self.may_be_executed(&call) => {
@@ -96,7 +96,7 @@ impl Core {
             }
             Ok(Choice::Send(spelling)) => {
                 call.refused_at = None;
-                call.spell(spelling);
+                call.spelling = spelling;
                 Some(Outgoing::Call(call))
             }
             Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(call))),
@@ -142,12 +142,11 @@ impl Core {
             if call.is_broadcast() {
                 self.stats.count_link(|link| add(&mut link.broadcasts, 1));
             } else {
-                let slot = &*call.slot;
-                let (plain, spelling) = (slot.plain(), call.spelling());
+                let (plain, spelling) = (call.plain, call.spelling);
                 self.stats.count_station(station, |stats| stats.sent(plain, spelling));
                 debug_assert!(
                     self.stations.with_in_step(station, |in_step| {
-                        in_step.allows(&CallInFraming(&*call.slot, self.config.framing), spelling)
+                        in_step.allows(&CallInFraming(call, self.config.framing), spelling)
                     }),
                     "something owed could answer {spelling:?}"
                 );

@@ -270,14 +270,15 @@ fn an_abandoned_call_is_never_sent() {
 #[test]
 fn the_time_of_a_reply_is_when_its_frame_came() {
     let mut link = TestLink::new(Framing::Ascii);
-    let mut call = link.call(1, read(1));
+    let call = link.call(1, read(1));
     link.expect_send();
     link.advance(7 * MS);
     link.receive_reply(1, &read(1), &vec![3]);
     let came = link.now;
     link.advance(7 * MS);
-    assert_eq!(result(&mut call).unwrap().unwrap(), [3]);
-    assert_eq!(call.replied_at(), Some(came));
+    assert!(call.has_ended());
+    let (result, replied_at) = call.take_result(Option::take);
+    assert_eq!((result.unwrap(), replied_at), (vec![3], Some(came)));
     let round_trip = link.station_stats(1).round_trip.unwrap();
     assert_eq!((round_trip.last, round_trip.smoothed), (7 * MS, 7 * MS));
 }
