@@ -132,6 +132,15 @@ pub enum ReplyError {
     Mismatch(FieldError),
 }
 
+/// The error code of a reply, if it is a refusal.
+pub(crate) fn refusal_in<T>(reply: Result<T, ReplyError>) -> Result<Option<ErrorCode>, FieldError> {
+    match reply {
+        Ok(_) => Ok(None),
+        Err(ReplyError::Plc(refusal)) => Ok(Some(refusal)),
+        Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
+    }
+}
+
 impl fmt::Display for ReplyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

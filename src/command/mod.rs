@@ -45,7 +45,7 @@ pub use consecutive::ConsecutiveElement;
 pub use control::DiscreteControl;
 pub use forwarded_reply::ForwardedReply;
 pub use framing::{ReplyError, decode_reply, encode_refusal, encode_reply, encode_request};
-pub(crate) use framing::{decode_spelled_into, encode_spelled};
+pub(crate) use framing::{decode_spelled_into, encode_spelled, refusal_in};
 pub use limits::{InvalidRequest, MAX_LOOP_BACK, MAX_MIXED_READ_UNITS, MAX_MIXED_WRITE_UNITS, MAX_POINTS, MAX_UNITS};
 pub(crate) use limits::{RequestLengths, check_range, most_in_one_request};
 pub use program::{PAGE_WORDS, ProgramPage};

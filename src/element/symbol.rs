@@ -56,6 +56,7 @@ impl Symbol {
 
     /// The width of its elements.
     #[must_use]
+    #[inline]
     pub const fn width(self) -> Width {
         self.row().width
     }
@@ -84,12 +85,14 @@ impl Symbol {
     /// The limit of a PLC is usually smaller: beyond it the PLC refuses a request with
     /// [`IllegalAddress`](crate::ErrorCode::IllegalAddress).
     #[must_use]
+    #[inline]
     pub const fn last_address(self) -> u16 {
         self.row().last_address
     }
 
     /// The largest address in a framing: of `M`, 9999 in ASCII and 65535 in binary.
     #[must_use]
+    #[inline]
     pub const fn last_address_in(self, framing: Framing) -> u16 {
         match framing {
             Framing::Ascii => self.row().last_in_ascii,
@@ -103,6 +106,7 @@ impl Symbol {
     /// Counters of 32 bits, `DRC200` to `DRC255`, are the exception: see
     /// [`Element::step`](super::Element::step).
     #[must_use]
+    #[inline]
     pub const fn step(self) -> u16 {
         self.row().step
     }
@@ -115,12 +119,14 @@ impl Symbol {
     }
 
     /// Returns whether some of its addresses are counters of 32 bits.
+    #[inline]
     pub(crate) const fn has_counters(self) -> bool {
         let [first, last] = self.row().counters;
         first <= last
     }
 
     /// The first and the last counter of 32 bits. An area without counters has an empty range.
+    #[inline]
     pub(crate) const fn counters(self) -> [u16; 2] {
         self.row().counters
     }
@@ -344,6 +350,7 @@ macro_rules! memory_areas {
                 $(Self::$bit,)* $(Self::$word,)* $(Self::$register,)* $(Self::$dword,)* $(Self::$pair,)*
             ];
 
+            #[inline]
             const fn row(self) -> &'static SymbolRow {
                 match self {
                     $(
@@ -372,6 +379,7 @@ macro_rules! memory_areas {
             #[cfg(any(test, feature = "sim"))]
             pub(crate) const ALL: &'static [Self] = &[$(Self::$bit,)* $(Self::$register,)*];
 
+            #[inline]
             const fn row(self) -> AreaRow {
                 match self {
                     $(Self::$bit => AreaRow {

@@ -10,13 +10,13 @@ use bytes::BytesMut;
 pub(crate) const LEN: usize = 1024;
 
 thread_local! {
-    static BUFFER: Cell<BytesMut> = Cell::new(BytesMut::new());
+    static BUFFER: Cell<Option<BytesMut>> = const { Cell::new(None) };
 }
 
 /// Takes the thread's buffer, empty. If it is taken already, returns a new one.
 pub(crate) fn borrow() -> BytesMut {
     // A thread that is ending has none.
-    let mut buffer = BUFFER.try_with(Cell::take).unwrap_or_default();
+    let mut buffer = BUFFER.try_with(Cell::take).ok().flatten().unwrap_or_default();
     buffer.clear();
     buffer.reserve(LEN);
     buffer
@@ -24,7 +24,7 @@ pub(crate) fn borrow() -> BytesMut {
 
 /// Returns a buffer to the thread.
 pub(crate) fn give_back(buffer: BytesMut) {
-    let _ = BUFFER.try_with(|place| place.set(buffer));
+    let _ = BUFFER.try_with(|place| place.set(Some(buffer)));
 }
 
 #[cfg(test)]

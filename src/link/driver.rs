@@ -412,9 +412,13 @@ impl Driver {
         std::mem::swap(received, bytes);
         self.core.received(now);
         let left = self.core.receive_buffer();
-        // Exactly as much memory as the incomplete frame needs.
-        let kept = if left.is_empty() { BytesMut::new() } else { BytesMut::from(&left[..]) };
-        *bytes = std::mem::replace(left, kept);
+        if left.is_empty() {
+            std::mem::swap(left, bytes);
+        } else {
+            // Exactly as much memory as the incomplete frame needs.
+            let kept = BytesMut::from(&left[..]);
+            *bytes = std::mem::replace(left, kept);
+        }
         bytes.clear();
     }
 

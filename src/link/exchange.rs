@@ -33,7 +33,7 @@ use super::buffer;
 use super::call::PendingCall;
 use super::in_step::{self, Reply, Shape};
 use super::options::EchoMode;
-use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus, ReplyError};
+use crate::command::{self, Command, LoopBack, ReadDetailedStatus, ReadStatus};
 use crate::error::ErrorCode;
 use crate::hex;
 use crate::wire::{Codec, Discard, FieldError, Found, FoundFrame, Framing, Side, fingerprint};
@@ -113,13 +113,13 @@ impl Outgoing {
             Self::Call(call) => call.slot.try_complete(framing, call.station, data, now),
             Self::Link { request, nonce, .. } => match request {
                 LinkRequest::Check(check @ (in_step::Check::Nonce | in_step::Check::Empty)) => {
-                    refusal_in(command::decode_reply(&loop_back(*check, *nonce), framing, data))
+                    command::refusal_in(command::decode_reply(&loop_back(*check, *nonce), framing, data))
                 }
                 LinkRequest::Check(in_step::Check::Status) | LinkRequest::EchoTest => {
-                    refusal_in(command::decode_reply(&ReadStatus, framing, data))
+                    command::refusal_in(command::decode_reply(&ReadStatus, framing, data))
                 }
                 LinkRequest::Check(in_step::Check::Detail) => {
-                    refusal_in(command::decode_reply(&ReadDetailedStatus, framing, data))
+                    command::refusal_in(command::decode_reply(&ReadDetailedStatus, framing, data))
                 }
             },
         }
@@ -131,14 +131,6 @@ fn loop_back(check: in_step::Check, nonce: u64) -> LoopBack {
     match check {
         in_step::Check::Nonce => LoopBack::nonce(nonce),
         in_step::Check::Empty | in_step::Check::Status | in_step::Check::Detail => LoopBack::empty(),
-    }
-}
-
-fn refusal_in<T>(reply: Result<T, ReplyError>) -> Result<Option<ErrorCode>, FieldError> {
-    match reply {
-        Ok(_) => Ok(None),
-        Err(ReplyError::Plc(refusal)) => Ok(Some(refusal)),
-        Err(ReplyError::Mismatch(mismatch)) => Err(mismatch),
     }
 }
 

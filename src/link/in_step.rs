@@ -44,7 +44,7 @@ use self::terms::ANY_SIZE;
 pub(crate) use self::terms::{
     Check, Choice, Declared, Kind, LongestReads, Prices, Proof, Reply, Rule, Shape, Spelled, Stray, Why,
 };
-use super::later;
+use super::{later, nanoseconds};
 use crate::command::{Candidate, Code, CommandSet, NO_CANDIDATES, Run, Spelling};
 
 /// The state of the rule for one station.
@@ -83,8 +83,8 @@ pub(crate) struct InStep {
     /// Longer spellings would be refused.
     longest: LongestReads,
     answered: AnsweredElements,
-    /// The silence before the reply, in the slowest of recent exchanges.
-    slowest: Duration,
+    /// The silence before the reply, in the slowest of recent exchanges, in nanoseconds.
+    slowest: u64,
     proof: Proof,
     /// Number of frames that no request took, duplicates of replies not counted. Late datagrams are
     /// none of these: their port shows that they are of another request.
@@ -132,7 +132,7 @@ impl InStep {
             unanswered: CommandSet::NONE,
             longest: LongestReads::ANY,
             answered: AnsweredElements::new(),
-            slowest: Duration::ZERO,
+            slowest: 0,
             proof: Proof::default(),
             strays: 0,
         }
@@ -311,7 +311,7 @@ impl InStep {
     /// come; nothing older may.
     pub(crate) fn taken(&mut self, kind: Kind, reply: &Reply, took: Duration, rule: &Rule, now: Instant) {
         // Decays slowly: a reply that comes at once may be a duplicate.
-        self.slowest = took.max(self.slowest.saturating_mul(7).checked_div(8).unwrap_or_default());
+        self.slowest = nanoseconds(took).max(self.slowest.saturating_sub(self.slowest / 8));
         if kind == Kind::Page {
             self.equal_pages = !reply.refused && self.last_page == Some(reply.fingerprint);
             self.last_page = Some(reply.fingerprint);
@@ -328,7 +328,7 @@ impl InStep {
     }
 
     fn owed_frame(&self, shape: Shape, fingerprint: Option<u64>, rule: &Rule, now: Instant) -> Taken {
-        let window = rule.settings.window().max(self.slowest.saturating_mul(2));
+        let window = rule.settings.window().max(Duration::from_nanos(self.slowest.saturating_mul(2)));
         Taken { shape, fingerprint, window, heard_at: now, busy_at: rule.busy }
     }
 

@@ -37,7 +37,6 @@ use std::sync::atomic::{AtomicBool, Ordering, fence};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::task::{Context, Poll, Waker};
 
-use futures::future::FutureExt;
 use tokio::task::{unconstrained, yield_now};
 use tokio::time::{Instant, Sleep, sleep_until};
 
@@ -330,10 +329,12 @@ impl DriverSlot {
         }
         // Outside of Tokio's budget: a socket of a caller that has used up its budget would seem to
         // have no data.
-        let advance = unconstrained(async { self.driver.advance(AdvancedBy::Caller, Some(now), &self.waker) });
-        match catch_unwind(AssertUnwindSafe(|| advance.now_or_never())) {
-            Ok(Some(DriverStatus::Waiting(Some(until)))) => self.timer.is_none_or(|due| until < due),
-            Ok(Some(DriverStatus::Waiting(None))) => false,
+        let (driver, waker) = (&mut self.driver, &self.waker);
+        let mut advance = unconstrained(poll_fn(|_| Poll::Ready(driver.advance(AdvancedBy::Caller, Some(now), waker))));
+        let advanced = catch_unwind(AssertUnwindSafe(|| Pin::new(&mut advance).poll(&mut Context::from_waker(waker))));
+        match advanced {
+            Ok(Poll::Ready(DriverStatus::Waiting(Some(until)))) => self.timer.is_none_or(|due| until < due),
+            Ok(Poll::Ready(DriverStatus::Waiting(None))) => false,
             Ok(_) => true,
             Err(panic) => {
                 self.panic = Some(panic);

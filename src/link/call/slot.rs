@@ -81,12 +81,13 @@ impl<C: Command> CallFuture<C> {
     ) -> (Result<T, Error>, Option<Instant>) {
         let mut slot = lock(&self.slot.result);
         let CallResult { result, reply, at } = &mut *slot;
-        let result = match result.take() {
-            Some(Ok(())) => take(reply).ok_or(Error::Closed { sent: true }),
-            Some(Err(error)) => Err(error),
-            None => Err(Error::Closed { sent: true }),
+        let reply = match result.take() {
+            Some(Err(error)) => return (Err(error), at.take()),
+            Some(Ok(())) => take(reply),
+            None => None,
         };
-        (result, at.take())
+        let Some(reply) = reply else { return (Err(Error::Closed { sent: true }), at.take()) };
+        (Ok(reply), at.take())
     }
 
     /// The error of the call if it ends without a reply after this time.
@@ -250,6 +251,12 @@ impl<C: Command> CallSlot<C> {
         }
     }
 
+    /// Returns the error code of a reply that is not wanted, if it is a refusal.
+    #[cold]
+    fn judge(&self, request: &C, framing: Framing, data: &[u8]) -> Result<Option<ErrorCode>, FieldError> {
+        command::refusal_in(command::decode_spelled_into(request, self.spelling(), framing, data, &mut None))
+    }
+
     fn done(&self) {
         self.state.fetch_or(DONE, Ordering::AcqRel);
         self.task.wake();
@@ -313,10 +320,12 @@ impl<C: Command> AnyCall for CallSlot<C> {
     ) -> Result<Option<ErrorCode>, FieldError> {
         let Some(request) = self.request() else { return Err(FieldError::Unreadable) };
         let mut slot = lock(&self.result);
-        // The result of a call that has ended stays. One that was held before is replaced.
-        let wanted = self.is_wanted();
-        let mut unwanted = CallResult::NONE;
-        let CallResult { result, reply, at } = if wanted { &mut *slot } else { &mut unwanted };
+        if !self.is_wanted() {
+            // The result of a call that has ended stays.
+            return self.judge(request, framing, data);
+        }
+        // One that was held before is replaced.
+        let CallResult { result, reply, at } = &mut *slot;
         (*result, *at) = (None, None);
         let refusal = match command::decode_spelled_into(request, self.spelling(), framing, data, reply) {
             Ok(()) => {

@@ -16,6 +16,18 @@ use crate::link::stats::add;
 /// A call that has waited for less than this is sent, however little time is left.
 const SHORT_WAIT: Duration = Duration::from_millis(1);
 
+/// What is done for a call whose turn it is.
+enum Turn {
+    /// Its request is sent.
+    Send,
+    /// A check is sent before it.
+    Check(in_step::Check, Why),
+    /// Its station must be silent until then.
+    Silence(Instant),
+    /// Nothing: the call has ended.
+    Ended,
+}
+
 impl Core {
     /// The rule, with the present settings and figures, for a station.
     pub(super) fn rule(&self, station: u8) -> Rule {
@@ -73,45 +85,64 @@ impl Core {
         !self.stations.round_trip(call.station).is_some_and(is_too_long)
     }
 
-    /// Chooses what is sent for a call: its request, or a check before it. `None`: the station must
-    /// be silent first, or the call has ended.
+    /// What is sent for a call: its request, or a check before it. `None`: the station must be silent
+    /// first, or the call has ended.
+    #[inline]
     fn outgoing_for(&mut self, mut call: PendingCall, now: Instant) -> Option<Outgoing> {
+        // Decided by reference: each move of a call takes time.
+        match self.turn_of(&mut call, now) {
+            Turn::Send => Some(Outgoing::Call(call)),
+            Turn::Check(check, why) => Some(self.check(call.station, check, why, Some(call))),
+            Turn::Silence(until) => {
+                self.put_off(call, until);
+                None
+            }
+            Turn::Ended => None,
+        }
+    }
+
+    /// Decides what is done for a call whose turn it is.
+    fn turn_of(&mut self, call: &mut PendingCall, now: Instant) -> Turn {
         let station = call.station;
         if call.is_broadcast() {
-            return Some(Outgoing::Call(call));
+            return Turn::Send;
         }
         if self.exchange.must_learn_echo() {
-            return Some(self.check(station, in_step::Check::Nonce, Why::Connected, Some(call)));
+            return Turn::Check(in_step::Check::Nonce, Why::Connected);
         }
         let (rule, framing) = (self.rule(station), self.config.framing);
         let choice = self.stations.with_in_step(station, |in_step| match call.confirms {
             true => in_step.confirm(&rule, now).ok_or(in_step.proof()),
-            false => Ok(in_step.choose(&CallInFraming(&call, framing), call.only_plain, &rule, now)),
+            false => Ok(in_step.choose(&CallInFraming(call, framing), call.only_plain, &rule, now)),
         });
         match choice {
-            Ok(Choice::Send(_)) if self.may_be_executed(&call) => {
+            Ok(Choice::Send(_)) if self.may_be_executed(call) => {
                 let (code, after) = (call.code, now.saturating_duration_since(call.queued_at));
                 call.slot.fail(Error::OutOfStep { station, code, after, sent: true });
-                None
+                Turn::Ended
             }
             Ok(Choice::Send(spelling)) => {
                 call.refused_at = None;
                 call.spelling = spelling;
-                Some(Outgoing::Call(call))
+                Turn::Send
             }
-            Ok(Choice::Check(check, why)) => Some(self.check(station, check, why, Some(call))),
-            Ok(Choice::Silence(until)) => {
-                call.slot.await_silence();
-                self.stats.count_station(station, |stats| add(&mut stats.silences, 1));
-                self.scheduler.push_front(call);
-                self.scheduler.block(station, until);
-                None
-            }
+            Ok(Choice::Check(check, why)) => Turn::Check(check, why),
+            Ok(Choice::Silence(until)) => Turn::Silence(until),
             Err(proof) => {
                 call.slot.complete_without_reply(proof);
-                None
+                Turn::Ended
             }
         }
+    }
+
+    /// Puts a call back until its station has been silent long enough.
+    #[cold]
+    fn put_off(&mut self, call: PendingCall, until: Instant) {
+        let station = call.station;
+        call.slot.await_silence();
+        self.stats.count_station(station, |stats| add(&mut stats.silences, 1));
+        self.scheduler.push_front(call);
+        self.scheduler.block(station, until);
     }
 
     /// Returns whether a write that was refused in another spelling may have been executed: an

@@ -33,10 +33,11 @@ impl AnsweredElements {
     pub(super) fn add(&mut self, first: Element, count: usize) {
         debug_assert!(count > 0, "a run has no elements");
         // Mostly a run that was added before.
+        let (symbol, address) = (first.symbol(), first.address());
         let behind = u32::try_from(count.saturating_sub(1)).unwrap_or(u32::MAX).saturating_mul(first.step().into());
-        let last = u16::try_from(u32::from(first.address()).saturating_add(behind));
-        let is_in = |span: &Span| last.is_ok_and(|last| span.contains(first.symbol(), last));
-        if self.spans.iter().any(|span| span.contains(first.symbol(), first.address()) && is_in(span)) {
+        let last = u32::from(address).saturating_add(behind);
+        let has = |span: &Span| span.contains(symbol, address) && last <= span.last.into();
+        if self.spans.iter().any(has) {
             return;
         }
         let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
