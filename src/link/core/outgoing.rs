@@ -16,7 +16,7 @@ use crate::link::stats::add;
 /// A call that has waited for less than this is sent, however little time is left.
 const SHORT_WAIT: Duration = Duration::from_millis(1);
 
-/// What is done for a call whose turn it is.
+/// The decision about a call whose turn it is.
 enum Turn {
     /// Its request is sent.
     Send,
@@ -85,7 +85,7 @@ impl Core {
         !self.stations.round_trip(call.station).is_some_and(is_too_long)
     }
 
-    /// What is sent for a call: its request, or a check before it. `None`: the station must be silent
+    /// Chooses the request for a call: its own, or a check before it. `None`: the station must be silent
     /// first, or the call has ended.
     #[inline]
     fn outgoing_for(&mut self, mut call: PendingCall, now: Instant) -> Option<Outgoing> {

@@ -331,6 +331,28 @@ fn all_data_are_read_again_before_a_request_is_given_up() {
     assert!(matches!(result(&mut call), Some(Err(Error::Timeout { .. }))));
 }
 
+/// The reading of the request before counted for the next one, which was given up with its reply unread, when
+/// the driver waited for a reply without asking for the next action.
+#[test]
+fn all_data_are_read_again_for_each_request() {
+    let mut link = TestLink::new(Framing::Ascii);
+    let mut first = link.call(1, read(1));
+    link.expect_send();
+    link.advance(TIMEOUT);
+    assert_eq!(link.core.next_action(link.now), Action::ReadAgain);
+    link.receive_frame(1, 0x46, b"00001");
+    assert_eq!(result(&mut first).unwrap().unwrap(), [1]);
+
+    let mut second = link.call(1, read(2));
+    link.expect_send();
+    assert_eq!(link.core.reply_due(link.now), Some(link.now + TIMEOUT));
+    link.advance(TIMEOUT);
+    assert_eq!(link.core.reply_due(link.now), None);
+    assert_eq!(link.core.next_action(link.now), Action::ReadAgain);
+    link.receive_frame(1, 0x46, b"000010002");
+    assert_eq!(result(&mut second).unwrap().unwrap(), [1, 2]);
+}
+
 #[test]
 fn a_write_is_about_to_be_sent_only_if_one_waits_and_nothing_is_on_the_wire() {
     let mut link = TestLink::new(Framing::Ascii);
