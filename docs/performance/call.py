@@ -6,8 +6,8 @@
 Each way of the benchmark runs under callgrind, whose scheduler gives client and server fair turns: each
 wake-up then finds the replies of all links. Instructions are the difference between 6000 and 2000 calls
 over one link, and between 76,800 and 25,600 over 64 links, of the client's thread, without the kernel.
-Code is the number of lines of 64 bytes that nearly every call runs. Memory is the number of such lines that a call finds in no cache of 1 MiB,
-with 1000 links in turn.
+Code is the number of lines of 64 bytes that nearly every call runs. Memory is the number of such lines
+that a call finds in no cache of 1 MiB, with 1000 links in turn.
 """
 
 import collections
