@@ -211,6 +211,7 @@ fn most_of_width(width: Width) -> usize {
 /// Checks consecutive elements of one request: their number, and that all exist.
 pub(super) fn consecutive(code: Code, first: Element, n: usize) -> Result<(), InvalidRequest> {
     count(code, n, 1, most_of_width(first.width()))?;
+    // As in `RequestLengths::most`.
     if n > 1 && first.is_counter_of_32_bits() {
         return Err(InvalidRequest::OneByOne { code, first, count: n });
     }

@@ -50,8 +50,8 @@ pub(crate) trait AnyCall: Send + Sync {
     /// The consecutive elements that a read covers.
     fn run(&self) -> Option<Run>;
 
-    /// Appends the request to `dst` as a frame in this spelling, of which the caller learns. Returns the
-    /// shape of the positive reply. The request was checked for this framing.
+    /// Appends the request to `dst` as a frame in this spelling. Its reply is decoded by it, and the caller
+    /// learns of it. Returns the shape of the positive reply. The request was checked for this framing.
     fn encode(&self, spelling: Spelling, framing: Framing, station: u8, dst: &mut BytesMut) -> Shape;
 
     /// Decodes the data of a frame that has the right station and command, received at `now`.
@@ -157,7 +157,7 @@ pub(crate) struct PendingCall {
     pub(crate) kind: Kind,
     /// The spelling that the caller has asked for.
     pub(crate) plain: Spelling,
-    /// The spelling of the next transmission, or of the last one.
+    /// The spelling of the next transmission, or of the last one. The slot has that of the last one, too.
     pub(crate) spelling: Spelling,
     /// A write was refused in another spelling when the station had this number of strays. With one
     /// more, the refusal may have been another request's, and the write may have been executed.

@@ -152,7 +152,7 @@ impl Core {
     /// Decides what is to be done now.
     pub(crate) fn next_action(&mut self, now: Instant) -> Action {
         loop {
-            if let Some(until) = self.reply_due(now) {
+            if let Some(until) = self.await_reply(now) {
                 return Action::Wait(Some(until));
             }
             if !self.is_idle() {
@@ -205,19 +205,13 @@ impl Core {
             if let Some(until) = self.hold_until.max(gap_until).filter(|&until| now < until) {
                 return Action::Wait(Some(until));
             }
-            if !self.has_waiting() {
-                // Mostly the only call has just been answered, and the rest of this would find nothing to do.
-                match self.idle_at() {
-                    Some(idle_at) if idle_at <= now => {
-                        self.used_at = None;
-                        return self.disconnect();
-                    }
-                    idle_at => return Action::Wait(idle_at),
-                }
-            }
             // Checked before the probes: they alone are no reason to stay connected.
             if self.falls_idle(now) {
                 return self.disconnect();
+            }
+            if !self.has_waiting() {
+                // Mostly the only call has just been answered, and the rest of this would find nothing to do.
+                return Action::Wait(self.idle_at());
             }
             let Some(outgoing) = self.next_outgoing(now) else {
                 return Action::Wait(self.next_timer());
@@ -228,9 +222,10 @@ impl Core {
         }
     }
 
-    /// When the request on the wire is given up, if that is later than now.
+    /// Until when to wait for the reply to the request on the wire, if that is later than now. When it has
+    /// passed, all data are read again, also if they were for the request before.
     #[inline]
-    pub(crate) fn reply_due(&mut self, now: Instant) -> Option<Instant> {
+    pub(crate) fn await_reply(&mut self, now: Instant) -> Option<Instant> {
         let until = self.exchange.active().map(|active| active.deadline).filter(|&until| now < until)?;
         self.has_read_again = false;
         Some(until)

@@ -9,6 +9,8 @@
 //!                                                            wait: return to the caller of `advance`
 //! ```
 //!
+//! Behind a request, if there are no data to read, it waits for the reply at once.
+//!
 //! [`Driver::advance`] does all that can be done without waiting. The link's task calls it after
 //! each wake-up. A caller with a new request calls it, too, to send that without waking the task.
 //! I/O always wakes the task, never a caller: a caller's future may be dropped at any moment.
@@ -247,10 +249,10 @@ impl Driver {
                         let late = self.io.as_deref_mut().map(<dyn Io>::take_late).unwrap_or_default();
                         self.core.late_datagrams(late);
                         self.read_armed = self.read_armed && self.connector.wakes_reader();
-                        // Mostly there is nothing to do but to wait for the reply.
+                        // With a request on the wire, the rest only reads, and waits as the core would.
                         if self.read_armed
                             && !self.io_waker.is_ready()
-                            && let Some(until) = self.core.reply_due(clock.now())
+                            && let Some(until) = self.core.await_reply(clock.now())
                         {
                             return DriverStatus::Waiting(Some(until));
                         }
@@ -408,6 +410,7 @@ impl Driver {
             }
             return;
         }
+        debug_assert_eq!(received.capacity(), 0, "an empty buffer has no memory");
         // Mostly a frame comes whole, and is decoded where it was read.
         std::mem::swap(received, bytes);
         self.core.received(now);

@@ -417,7 +417,10 @@ impl Exchange {
                 None => self.codec.skip_partial(),
             }
         }
-        if let (Some(active), false) = (&mut self.active, self.received.is_empty()) {
+        if self.received.is_empty() {
+            // The memory of an incomplete frame, which was exactly as much: no link keeps a buffer.
+            self.received = BytesMut::new();
+        } else if let Some(active) = &mut self.active {
             active.fault = Some("an incomplete frame".to_owned());
         }
         None

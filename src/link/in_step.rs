@@ -157,8 +157,8 @@ impl InStep {
         self.strays
     }
 
-    /// Chooses what to send for a request. `plain`: another spelling of it was refused.
-    pub(crate) fn choose(&mut self, request: &impl Spelled, plain: bool, rule: &Rule, now: Instant) -> Choice {
+    /// Chooses what to send for a request. `only_plain`: another spelling of it was refused.
+    pub(crate) fn choose(&mut self, request: &impl Spelled, only_plain: bool, rule: &Rule, now: Instant) -> Choice {
         if let Some(choice) = self.prove(rule, now) {
             return choice;
         }
@@ -168,7 +168,7 @@ impl InStep {
         if self.allows(request, spelling) && !(likely_equal && self.threat(request.shape(spelling)) == Threat::Reply) {
             return Choice::Send(spelling);
         }
-        let candidates = if plain { NO_CANDIDATES } else { request.candidates() };
+        let candidates = if only_plain { NO_CANDIDATES } else { request.candidates() };
         let price = |candidate: &Candidate| rule.prices.of(candidate, spelling);
         let possible = |candidate: &Candidate| {
             let known = candidate.extra.is_none_or(|extra| self.answered.contains(extra));

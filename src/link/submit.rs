@@ -53,7 +53,7 @@ impl Link {
     }
 
     /// Makes a call, and waits for its result. `take` takes the reply, where it was decoded; `outcome`
-    /// makes the output, from the result and from the call, unless no call was made.
+    /// makes the output from the result and from the call, unless that was not made or no task runs.
     // The request is moved on before the first await: this future is part of the caller's, of which
     // there may be thousands.
     async fn submit_with<C: Command, T, R>(
@@ -211,10 +211,8 @@ async fn ends_late<C: Command>(call: &CallFuture<C>) -> bool {
 /// Purpose of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
-    /// A single request, or a broadcast.
+    /// A single request, a broadcast, or a request of a [`job`](super::job).
     Whole,
-    /// A request of a [`job`](super::job).
-    InJob,
     /// A request of a longer read or write, which is a job. A spelling may leave elements to the
     /// next one.
     Part,
@@ -229,7 +227,7 @@ pub(crate) struct CallOutcome<T> {
     pub(crate) replied_at: Option<Instant>,
     /// The spelling that was sent.
     pub(crate) spelling: Spelling,
-    /// Shape of the positive reply to that spelling.
+    /// Shape of the positive reply to that spelling; of size 0 if no call was made.
     pub(crate) shape: Shape,
     /// The station's proof when the reply was taken.
     pub(crate) proof: Proof,

@@ -99,7 +99,7 @@ impl ReadRequest {
             reply: impl FnOnce(C::Reply) -> Reply,
         ) -> CallOutcome<Reply> {
             let CallOutcome { result, replied_at, spelling, shape, proof } =
-                station.submit(request, Purpose::InJob).await;
+                station.submit(request, Purpose::Whole).await;
             CallOutcome { result: result.map(reply), replied_at, spelling, shape, proof }
         }
         match self {

@@ -71,7 +71,7 @@ impl<'s, M: Copy> StationJob<'s, M> {
         request: C,
         longer: bool,
     ) -> Result<Outcome<M, C::Reply>, Error> {
-        let purpose = if longer { Purpose::Part } else { Purpose::InJob };
+        let purpose = if longer { Purpose::Part } else { Purpose::Whole };
         let CallOutcome { result, spelling, shape, proof, .. } = self.station.submit(request, purpose).await;
         let result = match result {
             Ok(reply) => Ok(reply),

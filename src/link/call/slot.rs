@@ -2,7 +2,8 @@
 //!
 //! Memory order: the result is written under its mutex before `DONE` is set with `AcqRel`, and the
 //! future reads `DONE` with `Acquire`. `proof` is stored before `DONE`, too, so `Relaxed` suffices
-//! for it.
+//! for it. The spelling is stored after `SENT` and before `DONE`: a caller that has no result may read
+//! the one before.
 
 use std::future::{Future, poll_fn};
 use std::pin::Pin;
@@ -242,7 +243,7 @@ impl<C: Command> CallSlot<C> {
         self.state.load(Ordering::Acquire) & (DONE | ABANDONED) == 0
     }
 
-    /// Returns the spelling that was sent last; before the first one, that of the caller.
+    /// Returns the spelling that was encoded last; before the first one, that of the caller.
     fn spelling(&self) -> Spelling {
         let [before, code, high, low] = self.spelling.load(Ordering::Acquire).to_be_bytes();
         match Code::from_u8(code) {

@@ -41,7 +41,7 @@ impl AnsweredElements {
             return;
         }
         let Ok(last) = first.nth(count.saturating_sub(1)) else { return };
-        let mut new = Span { symbol: first.symbol(), first: first.address(), last: last.address() };
+        let mut new = Span { symbol, first: address, last: last.address() };
         self.spans.retain(|span| {
             let joins = span.touches(&new);
             if joins {

@@ -103,6 +103,8 @@ fn a_truncated_reply_is_a_bad_reply_and_no_timeout() {
         let error = result(&mut call).unwrap().unwrap_err();
         assert!(matches!(&error, Error::BadReply { reason, .. } if reason == what), "{error:?}");
         assert_eq!((link.station_stats(1).bad_replies, link.station_stats(1).timeouts), (1, 0));
+        // An incomplete frame in ASCII may go on. Otherwise its memory stayed until the next one.
+        assert_eq!(link.core.receive_buffer().capacity() > 0, framing == Framing::Ascii);
     }
 }
 
@@ -345,9 +347,9 @@ fn all_data_are_read_again_for_each_request() {
 
     let mut second = link.call(1, read(2));
     link.expect_send();
-    assert_eq!(link.core.reply_due(link.now), Some(link.now + TIMEOUT));
+    assert_eq!(link.core.await_reply(link.now), Some(link.now + TIMEOUT));
     link.advance(TIMEOUT);
-    assert_eq!(link.core.reply_due(link.now), None);
+    assert_eq!(link.core.await_reply(link.now), None);
     assert_eq!(link.core.next_action(link.now), Action::ReadAgain);
     link.receive_frame(1, 0x46, b"000010002");
     assert_eq!(result(&mut second).unwrap().unwrap(), [1, 2]);
