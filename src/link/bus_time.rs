@@ -188,6 +188,7 @@ impl World {
             deadline: later(self.now, options.call_timeout),
             queued_at: self.now,
             confirms: purpose == Purpose::Confirm,
+            plain: request.plain(),
         };
         let sending =
             Sending { response_timeout: RESPONSE_TIMEOUT, adaptive: options.adaptive, part: purpose == Purpose::Part };

@@ -127,6 +127,9 @@ pub(crate) struct CallMeta {
     pub(crate) queued_at: Instant,
     /// The call is a check that confirms earlier results; its request is never sent.
     pub(crate) confirms: bool,
+    /// The spelling that the caller has asked for. Here it fits beside the bytes above: a link has the place of
+    /// two calls.
+    pub(crate) plain: Spelling,
 }
 
 /// How the request of a call is sent.
@@ -155,8 +158,6 @@ pub(crate) struct PendingCall {
     pub(crate) only_plain: bool,
     /// The kind of the request, for the rule of `in_step`.
     pub(crate) kind: Kind,
-    /// The spelling that the caller has asked for.
-    pub(crate) plain: Spelling,
     /// The spelling of the next transmission, or of the last one. The slot has that of the last one, too.
     pub(crate) spelling: Spelling,
     /// A write was refused in another spelling when the station had this number of strays. With one
@@ -256,7 +257,7 @@ pub(crate) fn new<C: Command>(
 ) -> (PendingCall, CallFuture<C>) {
     let retries_left = options.retries_for(C::CODE.class());
     let check_retries_left = options.retries.saturating_sub(retries_left);
-    let (kind, plain) = (kind_of(&request), request.plain());
+    let (kind, spelling) = (kind_of(&request), meta.plain);
     let (slot, timer) = match spares::take::<C>() {
         None => (Arc::new(CallSlot::new(request, meta.station, sending)), None),
         Some((mut spare, timer)) => match Arc::get_mut(&mut spare) {
@@ -274,8 +275,7 @@ pub(crate) fn new<C: Command>(
         unproven_once: false,
         only_plain: false,
         kind,
-        plain,
-        spelling: plain,
+        spelling,
         refused_at: None,
         check_retries_left,
         cause: None,

@@ -78,6 +78,7 @@ impl Link {
             deadline,
             queued_at,
             confirms: purpose == Purpose::Confirm,
+            plain: request.plain(),
         };
         let sending = Sending {
             response_timeout: options.response_timeout.unwrap_or(self.inner.config.response_timeout),

@@ -21,6 +21,7 @@ fn call_of<C: Command>(request: C, options: CallOptions) -> (PendingCall, CallFu
         deadline: queued_at + options.call_timeout,
         queued_at,
         confirms: false,
+        plain: request.plain(),
     };
     let sending = Sending { response_timeout: Duration::from_secs(1), adaptive: options.adaptive, part: false };
     new(request, meta, sending, &options)

@@ -14,6 +14,7 @@ fn call(station: u8, lane: Lane, now: Instant) -> (PendingCall, CallFuture<ReadS
         deadline: now + 1000 * SECOND,
         queued_at: now,
         confirms: false,
+        plain: ReadStatus.plain(),
     };
     let sending = Sending { response_timeout: SECOND, adaptive: None, part: false };
     call::new(ReadStatus, meta, sending, &CallOptions::new())

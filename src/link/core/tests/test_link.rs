@@ -96,6 +96,7 @@ impl TestLink {
             deadline: later(self.now, options.call_timeout),
             queued_at: self.now,
             confirms: false,
+            plain: request.plain(),
         };
         let response_timeout = options.response_timeout.unwrap_or(TIMEOUT);
         let sending = Sending { response_timeout, adaptive: options.adaptive, part: false };
