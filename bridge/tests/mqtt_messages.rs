@@ -99,6 +99,54 @@ async fn a_plc_without_a_member_is_offline_at_a_new_connection() {
     output.stop().await;
 }
 
+/// The last member of a fleet stops: it says that no PLC has a member.
+///
+/// While the output ended as soon as the broker had the state of the bridge, this test gave 2 unanswered states: a
+/// broker that cannot write the next answer drops the messages behind it, and those PLCs stayed online for ever.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_that_stops_waits_until_the_broker_has_all_states() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(&format!("{PLANT}{BOILER}")).await;
+    let output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
+    broker
+        .wait_for("online", |broker| ["mixer", "boiler"].iter().all(|plc| is_online(broker, plc) == Some(true)))
+        .await;
+    broker.behave(|received| match received.topic.as_str() {
+        "fatek/hall-2/state" => Action::Ack,
+        _ => Action::AckAfter(Duration::from_millis(300)),
+    });
+    plant.registry.give_up([(&"mixer".into(), Elsewhere::Lost), (&"boiler".into(), Elsewhere::Lost)]);
+    output.stop().await;
+    broker.wait_for("end", |broker| broker.connected()[0].is_closed).await;
+    let connected = &broker.connected()[0];
+    assert_eq!((connected.said_goodbye, connected.unanswered), (true, 0));
+    let online = ["mixer", "boiler"].map(|plc| is_online(&broker, plc));
+    assert_eq!(online, [Some(false); 2]);
+}
+
+/// A broker that takes few messages at once, far away: each round takes 100 ms, and all of them more than a second.
+///
+/// While the output ended a second after its stop, this test gave 20 states at the broker.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_that_stops_goes_on_while_the_broker_takes_states() {
+    const PLCS: usize = 36;
+    let broker = Broker::start().await;
+    broker.limit(|limits| limits.receive_max = Some(2));
+    let plc = |n: usize| format!("[plc.p{n}]\nlink = 'LINK'\nstation = {}\n", n + 1);
+    let plant = PolledPlant::start(&(0..PLCS).map(plc).collect::<String>()).await;
+    let output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
+    let names: Vec<String> = (0..PLCS).map(|n| format!("p{n}")).collect();
+    broker.wait_for("states", |broker| names.iter().all(|plc| is_online(broker, plc).is_some())).await;
+    broker.behave(|_| Action::AckAfter(Duration::from_millis(100)));
+    let lost: Vec<std::sync::Arc<str>> = names.iter().map(|name| name.as_str().into()).collect();
+    plant.registry.give_up(lost.iter().map(|name| (name, Elsewhere::Lost)));
+    output.stop().await;
+    broker.wait_for("end", |broker| broker.connected()[0].is_closed).await;
+    let why = |plc: &String| broker.retained_json(&format!("fatek/hall-2/{plc}/state")).unwrap()["why"].clone();
+    let known = names.iter().filter(|plc| why(plc) == "fleet: no member polls it").count();
+    assert_eq!((known, broker.connected()[0].said_goodbye), (PLCS, true));
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reload_publishes_what_is_new_and_clears_what_has_gone() {
     let broker = Broker::start().await;

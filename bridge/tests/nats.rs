@@ -21,9 +21,10 @@ use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
 use fatek_bridge::config::{Config, NatsSection};
 use fatek_bridge::output::{BridgeNames, Health, OutputKind, OutputParts, nats};
-use fatek_bridge::registry::Registry;
+use fatek_bridge::registry::{Elsewhere, Registry};
 use futures::StreamExt as _;
 use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
@@ -520,4 +521,73 @@ async fn first_reply(client: &async_nats::Client) -> Value {
         }
     };
     tokio::time::timeout(PATIENCE, ask).await.unwrap()
+}
+
+/// A network that takes 150 ms from the client to the server. Bytes are lost that are under way when the client closes
+/// its connection, as at a server that fails to write to it.
+async fn slow_network(server: u16) -> u16 {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    tokio::spawn(async move {
+        while let Ok((client, _)) = listener.accept().await {
+            let (mut from_client, mut to_client) = client.into_split();
+            let server = tokio::net::TcpStream::connect(("127.0.0.1", server)).await.unwrap();
+            let (mut from_server, mut to_server) = server.into_split();
+            tokio::spawn(async move { tokio::io::copy(&mut from_server, &mut to_client).await });
+            let (under_way, mut arriving) = tokio::sync::mpsc::unbounded_channel();
+            tokio::spawn(async move {
+                let mut bytes = vec![0; 64 << 10];
+                while let Ok(len @ 1..) = from_client.read(&mut bytes).await {
+                    let due = tokio::time::Instant::now() + Duration::from_millis(150);
+                    under_way.send((due, bytes[..len].to_vec())).unwrap();
+                }
+            });
+            tokio::spawn(async move {
+                while let Some((due, bytes)) = arriving.recv().await {
+                    tokio::time::sleep_until(due).await;
+                    // The client has closed it.
+                    if arriving.is_closed() || to_server.write_all(&bytes).await.is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+    });
+    port
+}
+
+/// The last member of a fleet stops: it says that no PLC has a member.
+///
+/// While only the state of the bridge was published at the end, this test gave no state of the PLC: a subscriber knew
+/// after 30 s of silence. While the end did not wait for the server, the last states were lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_that_stops_publishes_the_last_states() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(server) = NatsServer::start(folder.path()) else { return };
+    let (_plc_server, _poller, registry) = plant(&Plc::new()).await;
+    let client = server.client().await;
+    let mut states = client.subscribe("fatek.hall-2.>").await.unwrap();
+    client.flush().await.unwrap();
+    let output = Output::start_with(
+        section(folder.path(), &format!("nats://127.0.0.1:{}", slow_network(server.port()).await), ""),
+        registry.clone(),
+        None,
+    );
+    let mut next = async |what: &str| -> (String, Value) {
+        let message = tokio::time::timeout(PATIENCE, states.next()).await.expect(what).unwrap();
+        (message.subject.to_string(), serde_json::from_slice(&message.payload).unwrap())
+    };
+    while next("the state of the PLC").await.0 != "fatek.hall-2.mixer.state" {}
+    registry.give_up([(&"mixer".into(), Elsewhere::Lost)]);
+    output.stop().await;
+    let mut last = None;
+    loop {
+        let (subject, state) = next("the last state").await;
+        match subject.as_str() {
+            "fatek.hall-2.state" if state["online"] == false => break,
+            "fatek.hall-2.mixer.state" => last = Some(state),
+            _ => {}
+        }
+    }
+    assert_eq!(last, Some(json!({ "online": false, "why": "fleet: no member polls it" })));
 }

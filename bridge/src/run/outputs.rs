@@ -11,8 +11,8 @@ use super::Bridge;
 use crate::config::Config;
 use crate::output::{BridgeNames, OutputKind, OutputParts, mqtt, nats, stdout};
 
-/// The time in which an output must end: it says goodbye to its server.
-const GOODBYE: Duration = Duration::from_secs(2);
+/// The time in which an output must end: it publishes the last states, for 4 s at most.
+const GOODBYE: Duration = Duration::from_secs(5);
 
 /// The running outputs.
 #[derive(Debug, Default)]
@@ -78,7 +78,7 @@ impl Outputs {
         changed
     }
 
-    /// Ends all outputs; those that do not end within 2 s are aborted.
+    /// Ends all outputs; those that do not end within 5 s are aborted.
     pub(super) async fn stop(mut self) {
         self.running.values().for_each(|running| running.stop.cancel());
         let ended = async { while self.tasks.join_next().await.is_some() {} };

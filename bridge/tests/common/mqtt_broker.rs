@@ -1,6 +1,6 @@
 //! A broker of MQTT 5 for one kind of client, the bridge: it records everything, and fails on command.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -32,6 +32,8 @@ pub enum Action {
     Silence,
     /// None yet: when this number of them is held, all are sent, the last one first.
     HoldAndReverse(usize),
+    /// PUBACK, so much later.
+    AckAfter(Duration),
     /// None, and the message is lost.
     LoseAndStay,
     /// The connection is closed, and the message is lost.
@@ -69,6 +71,8 @@ pub struct Connected {
     pub is_closed: bool,
     /// The largest number of messages that had no answer at once.
     pub most_in_flight: usize,
+    /// The number of messages that had no answer when it ended.
+    pub unanswered: usize,
 }
 
 type Behaviour = Box<dyn FnMut(&Received) -> Action + Send>;
@@ -216,19 +220,32 @@ struct Client {
     shared: Arc<Shared>,
     out: BytesMut,
     held: Vec<u16>,
+    /// Acknowledgements that are due later.
+    late: VecDeque<(Instant, u16)>,
     in_flight: usize,
     filters: Vec<String>,
 }
 
 async fn serve(mut stream: TcpStream, shared: Arc<Shared>) {
     let mut to_clients = shared.to_clients.subscribe();
-    let mut client =
-        Client { number: 0, shared, out: BytesMut::new(), held: Vec::new(), in_flight: 0, filters: Vec::new() };
+    let mut client = Client {
+        number: 0,
+        shared,
+        out: BytesMut::new(),
+        held: Vec::new(),
+        late: VecDeque::new(),
+        in_flight: 0,
+        filters: Vec::new(),
+    };
     let mut buffer = BytesMut::new();
     loop {
         tokio::select! {
             read = stream.read_buf(&mut buffer) => if !matches!(read, Ok(1..)) { break },
             Ok(publish) = to_clients.recv() => client.forward(publish),
+            id = next_late(&client.late) => {
+                client.late.retain(|(_, late)| *late != id);
+                client.acknowledge(id, 0);
+            }
         }
         // PUBACKs of the client are taken and ignored.
         while let Some(next) = client.take_next(&mut buffer) {
@@ -263,6 +280,13 @@ async fn serve(mut stream: TcpStream, shared: Arc<Shared>) {
         client.out.clear();
     }
     client.closed(false);
+}
+
+/// Waits for the next late acknowledgement; forever without one.
+async fn next_late(late: &VecDeque<(Instant, u16)>) -> u16 {
+    let Some((due, id)) = late.iter().min() else { return std::future::pending().await };
+    tokio::time::sleep_until((*due).into()).await;
+    *id
 }
 
 enum Next {
@@ -324,6 +348,7 @@ impl Client {
             said_goodbye: false,
             is_closed: false,
             most_in_flight: 0,
+            unanswered: 0,
         });
         self.number = state.connected.len();
         drop(state);
@@ -357,6 +382,7 @@ impl Client {
                 self.acknowledge(pkid, 0);
                 self.out.extend_from_slice(&puback(pkid, 0));
             }
+            Action::AckAfter(delay) => self.late.push_back((Instant::now() + delay, pkid)),
             Action::Silence | Action::LoseAndStay => {}
             Action::HoldAndReverse(number) => {
                 self.held.push(pkid);
@@ -397,6 +423,7 @@ impl Client {
         let mut state = self.shared.state.lock().unwrap();
         if let Some(connected) = self.number.checked_sub(1).and_then(|at| state.connected.get_mut(at)) {
             connected.said_goodbye = said_goodbye;
+            connected.unanswered = self.in_flight;
             connected.is_closed = true;
         }
     }

@@ -165,9 +165,9 @@ impl Retained {
         }
     }
 
-    /// Returns whether states wait to be sent.
-    pub(super) fn has_states(&self) -> bool {
-        !self.first.is_empty()
+    /// The number of states that wait to be sent.
+    pub(super) fn states(&self) -> usize {
+        self.first.len()
     }
 
     /// Takes a message to be sent; an empty payload clears it.

@@ -5,6 +5,8 @@
 //!
 //! Order of messages: subscriptions, states, replies, and then discovery and batches in turn.
 
+mod closing;
+
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -14,10 +16,11 @@ use futures::stream::FuturesUnordered;
 use futures::{FutureExt as _, StreamExt as _};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 
+use self::closing::Closing;
 use super::Shared;
 use super::commands::ReplyTo;
 use super::connection::{Ack, Connection, Incoming, LostError, Message};
-use super::delivery::{Delivery, Loss};
+use super::delivery::Delivery;
 use super::discovery::Discovery;
 use super::plcs::PublishedPlcs;
 use super::retained::{Priority, Retained};
@@ -34,8 +37,6 @@ const REPEAT_STATES: Duration = Duration::from_secs(10);
 const EARLIER_RUN: Duration = Duration::from_secs(10);
 /// The time in which Home Assistant makes its entities. Values that come before are lost for it.
 const INTRODUCTION: Duration = Duration::from_secs(5);
-/// The time for the broker to acknowledge the last state when the output ends.
-const GOODBYE: Duration = Duration::from_secs(1);
 /// The keep-alive times after which a batch without an acknowledgement is taken for lost.
 const UNANSWERED: u32 = 3;
 /// The time to read what came before the connection was lost.
@@ -77,10 +78,8 @@ pub(super) struct Session<'a> {
     last_states: Instant,
     /// When the subscriptions for messages of an earlier run end.
     earlier_run_ends: Option<Instant>,
-    /// When the output ends, acknowledged or not.
-    closes: Option<Instant>,
-    /// `true` if the broker has the last state.
-    is_last_state_known: bool,
+    /// The end of the session, once the output is stopped.
+    closing: Option<Closing>,
     is_turn_of_discovery: bool,
     /// When Home Assistant has made the entities of the last discovery messages: it needs their values then.
     introduced: Option<Instant>,
@@ -133,8 +132,7 @@ impl<'a> Session<'a> {
             last_ping: now,
             last_states: now,
             earlier_run_ends: Some(now + EARLIER_RUN),
-            closes: None,
-            is_last_state_known: false,
+            closing: None,
             is_turn_of_discovery: true,
             introduced: None,
         }
@@ -160,11 +158,15 @@ impl<'a> Session<'a> {
         tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             self.fill();
-            if self.closes.is_some() && self.is_closed() {
-                return self.close().await;
+            if let Some(closing) = &self.closing
+                && self.is_closed(closing)
+            {
+                let is_last_state_known = closing.is_last_state_known;
+                return self.close(is_last_state_known).await;
             }
+            let ends = self.closing.as_ref().map(Closing::ends);
             let due = self.carried.delivery.due();
-            let needs_batches = self.closes.is_none() && self.carried.delivery.needs_batches();
+            let needs_batches = self.closing.is_none() && self.carried.delivery.needs_batches();
             let ready = tokio::select! {
                 read = self.connection.reader.fill() => read.and_then(|()| self.receive()),
                 written = self.connection.writer.write_some(), if !self.connection.writer.is_idle() => {
@@ -181,7 +183,8 @@ impl<'a> Session<'a> {
                     Ok(())
                 }
                 _ = tick.tick() => self.tick(),
-                () = self.shared.stop.cancelled(), if self.closes.is_none() => {
+                () = sleep_until(ends.unwrap_or(self.last_sent)), if ends.is_some() => Ok(()),
+                () = self.shared.stop.cancelled(), if self.closing.is_none() => {
                     self.begin_close();
                     Ok(())
                 }
@@ -218,7 +221,7 @@ impl<'a> Session<'a> {
         // A batch under suspicion is alone in flight.
         let is_alone = |session: &Self| session.carried.delivery.is_probing_in_flight();
         while !is_full(self) && !is_alone(self) {
-            let sent = self.send_state() || self.send_reply() || self.closes.is_none() && self.send_in_turn();
+            let sent = self.send_state() || self.send_reply() || self.closing.is_none() && self.send_in_turn();
             if !sent {
                 break;
             }
@@ -242,7 +245,7 @@ impl<'a> Session<'a> {
         let is_entity = priority == Priority::Between && !payload.is_empty();
         self.introduced = is_entity.then(|| Instant::now() + INTRODUCTION).or(self.introduced);
         let message = Message { topic: topic.clone().into(), payload, retain: true, correlation: None };
-        let is_last = self.closes.is_some() && topic == self.shared.topics.bridge_state();
+        let is_last = self.closing.is_some() && topic == self.shared.topics.bridge_state();
         self.publish(&message, if is_last { Item::LastState } else { Item::Retained(topic) });
         true
     }
@@ -294,7 +297,12 @@ impl<'a> Session<'a> {
     fn handle(&mut self, packet: Incoming) {
         match packet {
             Incoming::Ack { id, ack } => match self.window.take(id) {
-                Some(item) => self.acknowledge(item, ack),
+                Some(item) => {
+                    if let Some(closing) = &mut self.closing {
+                        closing.acknowledged(Instant::now());
+                    }
+                    self.acknowledge(item, ack);
+                }
                 None => tracing::debug!(id, "mqtt: an acknowledgement of nothing, or a second one"),
             },
             Incoming::Subscribed { id, refused } => {
@@ -330,7 +338,11 @@ impl<'a> Session<'a> {
             _ if is_lost => self.refuse(item, ack),
             Item::Batch(position) => self.carried.delivery.taken(position, Instant::now()),
             Item::Retained(topic) => self.carried.retained.acknowledged(&topic),
-            Item::LastState => self.is_last_state_known = true,
+            Item::LastState => {
+                if let Some(closing) = &mut self.closing {
+                    closing.is_last_state_known = true;
+                }
+            }
             Item::Reply(_) | Item::Subscriptions(_) | Item::EndOfSubscriptions => {}
         }
     }
@@ -398,7 +410,7 @@ impl<'a> Session<'a> {
             let discovery = self.shared.discovery.as_ref().map(Discovery::prefix);
             let reply_to = ReplyTo::new(&self.shared.topics, discovery, plc, response, correlation);
             // The result of a new one would come after the end of the session.
-            let commands = if self.closes.is_some() { commands.closing() } else { commands };
+            let commands = if self.closing.is_some() { commands.closing() } else { commands };
             let plc = plc.to_owned();
             let command = async move {
                 let reply = commands.execute(&plc, &payload, retain).await;
@@ -445,7 +457,7 @@ impl<'a> Session<'a> {
             self.carried.delivery.want_present_values();
         }
         self.carried.delivery.give_up(now);
-        if self.closes.is_none() {
+        if self.closing.is_none() {
             self.refresh(false);
             self.repeat_states(now);
         }
@@ -469,54 +481,6 @@ impl<'a> Session<'a> {
             self.last_states = now;
             self.carried.retained.queue_wanted(Priority::First);
         }
-    }
-
-    fn begin_close(&mut self) {
-        self.closes = Some(Instant::now() + GOODBYE);
-        // PLCs that the last member of a fleet has given up are offline.
-        self.refresh(false);
-        let topic = self.shared.topics.bridge_state();
-        self.carried.retained.set(topic, Bytes::from_static(OFFLINE), Priority::First, None);
-    }
-
-    /// Returns whether the broker has the last state and all replies, or the time is up.
-    fn is_closed(&self) -> bool {
-        let is_replying = self.window.iter().any(|item| matches!(item, Item::Reply(_)))
-            || !self.carried.replies.is_empty()
-            || !self.carried.commands.is_empty();
-        let is_told = self.is_last_state_known && !self.carried.retained.has_states();
-        is_told && !is_replying || self.closes.is_some_and(|at| at <= Instant::now())
-    }
-
-    /// Ends the connection. Unless the broker has the last state, it publishes the will instead.
-    async fn close(&mut self) -> End {
-        if self.is_last_state_known {
-            self.connection.writer.disconnect();
-            let written = async {
-                while !self.connection.writer.is_idle() {
-                    self.connection.writer.write_some().await?;
-                }
-                Ok::<_, LostError>(())
-            };
-            // It ends anyway.
-            let _ = timeout(GOODBYE, written).await;
-        }
-        End::Stopped
-    }
-
-    /// Keeps what was not acknowledged for the next connection.
-    fn carry(&mut self, ended: &End) {
-        let items: Vec<Item> = self.window.drain().collect();
-        let positions: Vec<u64> = items.iter().filter_map(Item::position).collect();
-        let is_alone = positions.len() == items.len();
-        let loss = match (ended, positions.as_slice()) {
-            (End::Lost(error), [position]) if error.blames_a_message() && is_alone => Loss::Guilty(*position),
-            (End::Lost(error), [_, ..]) if error.blames_a_message() => Loss::Suspect,
-            (End::Lost(_) | End::Stopped, _) => Loss::Other,
-        };
-        self.carried.delivery.lost(loss, Instant::now());
-        let replies: Vec<Message> = items.into_iter().filter_map(Item::into_reply).collect();
-        replies.into_iter().for_each(|reply| self.carried.push_reply(reply));
     }
 }
 

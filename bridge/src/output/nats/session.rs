@@ -9,7 +9,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use async_nats::jetstream::context::{Context, ContextBuilder, PublishErrorKind};
+use async_nats::jetstream::context::{Context, ContextBuilder, GetStreamErrorKind, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{Error as JetStreamError, context::PublishError};
 use async_nats::{Client, Message, Subscriber};
@@ -38,7 +38,7 @@ const MAX_COMMANDS: usize = 256;
 /// The time for commands that run to end when the output ends.
 const REPLIES: Duration = Duration::from_secs(1);
 /// The time for the last messages when the output ends.
-const GOODBYE: Duration = Duration::from_millis(500);
+const GOODBYE: Duration = Duration::from_secs(1);
 /// The JetStream error of a message that is longer than its stream takes.
 const TOO_LONG: u64 = 10054;
 
@@ -241,7 +241,7 @@ impl<'a> Session<'a> {
         news.map(|name| (self.shared.topics.plc_state(name), PlcState::without_member().to_json())).collect()
     }
 
-    /// Gives replies of commands that run, and the state of a bridge that is not connected.
+    /// Publishes replies of commands that run, the last states of the PLCs, and that the bridge is offline.
     async fn say_goodbye(&mut self) {
         // New ones find no responder.
         self.subscriber = None;
@@ -260,18 +260,27 @@ impl<'a> Session<'a> {
             }
         }
         let goodbye = async {
-            publish(
-                self.connection.client(),
-                self.shared.topics.bridge_state(),
-                Bytes::from_static(br#"{"online":false}"#),
-            )
-            .await?;
-            self.connection.client().flush().await.map_err(|error| error.to_string())
+            // PLCs that the last member of a fleet has given up are offline.
+            self.publish_states().await?;
+            let offline = Bytes::from_static(br#"{"online":false}"#);
+            publish(self.connection.client(), self.shared.topics.bridge_state(), offline).await?;
+            self.reach_server().await
         };
         match timeout(GOODBYE, goodbye).await {
             Ok(Ok(())) => {}
             Ok(Err(error)) => tracing::warn!("nats: the last messages were not sent: {error}"),
             Err(_) => tracing::warn!("nats: the last messages were not sent within {GOODBYE:?}"),
+        }
+    }
+
+    /// Waits until the server has read all messages: it answers a request behind them. It drops those that it has not
+    /// read when the connection ends while it writes.
+    async fn reach_server(&mut self) -> Result<(), String> {
+        match self.context.get_stream(self.shared.section.stream.as_str()).await {
+            Ok(_) => Ok(()),
+            // Any answer of the server will do, also that there is no such stream.
+            Err(error) if matches!(error.kind(), GetStreamErrorKind::JetStream(_)) => Ok(()),
+            Err(error) => Err(with_sources(&error)),
         }
     }
 }
