@@ -353,6 +353,32 @@ async fn states_at_the_broker_are_those_of_the_owner() {
     until(&mut all, "all are offline", &BTreeSet::new(), 2 * PLCS).await;
 }
 
+/// The server does not answer: the member waits for its answer to the end of the ownerships.
+///
+/// Without the cure it ended with its ownerships: 4.0 s after the second signal.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_signal_ends_a_member_that_cannot_leave() {
+    let Some(fleet) = Fleet::new().await else { return };
+    let folder = fleet.folder.path().join("hall-1");
+    std::fs::create_dir_all(&folder).unwrap();
+    let text = fleet.config().replace(&format!("lease = '{LEASE:?}'"), "lease = '4s'");
+    let mut bridge = Bridge::start_with(&write_config(&folder, &text), &folder, &[("FATEK_BRIDGE_ID", "hall-1")]);
+    bridge.batch();
+    fleet.nats.signal("STOP");
+    bridge.signal("TERM");
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    assert!(bridge.ended().is_none(), "{}", bridge.log());
+    bridge.signal("TERM");
+    let begun = Instant::now();
+    let status = bridge.wait();
+    let took = begun.elapsed();
+    println!("ended {took:?} after the second signal");
+    fleet.nats.signal("CONT");
+    assert!(status.success() && bridge.log().contains("a second signal"), "{}", bridge.log());
+    // Half of it is for a busy machine.
+    assert!(took < Duration::from_millis(1500), "{took:?}: {}", bridge.log());
+}
+
 /// While links had the names of their PLCs, the other member took the renamed one at once, and the PLC had two masters:
 /// this test gave `hall-1 polls it`.
 #[tokio::test(flavor = "multi_thread")]
