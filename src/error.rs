@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::clock::ClockFailure;
 use crate::command::{Code, InvalidRequest};
-use crate::tag::TagAccessError;
+use crate::tag::{Tag, TagAccessError};
 
 pub(crate) use self::seen::Rounded;
 pub use self::seen::Seen;
@@ -257,6 +257,14 @@ pub enum Error {
         /// one request takes, can have been written. Values behind those were not written.
         source: Box<Error>,
     },
+    /// The PLC refused a request for several tags. It does not say because of which.
+    #[non_exhaustive]
+    RefusedTags {
+        /// The tags of the request.
+        tags: Vec<Tag>,
+        /// The refusal.
+        source: Box<Error>,
+    },
     /// A read that a write depends on failed; nothing was written. See
     /// [`Station::modify_bits`](crate::Station::modify_bits).
     #[non_exhaustive]
@@ -348,12 +356,27 @@ impl fmt::Display for Error {
             Self::PartlyWritten { written, count, source } => {
                 write!(f, "{written} of {count} values were written, and then: {source}")
             }
+            Self::RefusedTags { tags, source } => write!(f, "{}: {source}", Tags(tags)),
             Self::ReadBeforeWrite { source } => {
                 write!(f, "nothing was written, since the read before failed: {source}")
             }
             Self::Clock { station, failure } => write!(f, "station {station}: {failure}"),
             Self::Closed { sent: _ } => f.write_str("the link is closed"),
         }
+    }
+}
+
+/// Displays the tags of a request, of which there can be many.
+struct Tags<'t>(&'t [Tag]);
+
+impl fmt::Display for Tags<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const SHOWN: usize = 8;
+        let (shown, more) = self.0.split_at_checked(SHOWN).unwrap_or((self.0, &[]));
+        for (n, tag) in shown.iter().enumerate() {
+            write!(f, "{}{tag}", if n > 0 { ", " } else { "" })?;
+        }
+        if more.is_empty() { Ok(()) } else { write!(f, " and {} more tags", more.len()) }
     }
 }
 
@@ -369,7 +392,9 @@ impl std::error::Error for Error {
             Self::Invalid(invalid) => invalid.source(),
             Self::Tag(error) => error.source(),
             Self::Connect { source, .. } | Self::Disconnected { source, .. } => source.source(),
-            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.source(),
+            Self::PartlyWritten { source, .. }
+            | Self::RefusedTags { source, .. }
+            | Self::ReadBeforeWrite { source } => source.source(),
             Self::Clock { failure, .. } => failure.call_error().and_then(std::error::Error::source),
             Self::Plc { .. }
             | Self::Timeout { .. }
@@ -391,15 +416,26 @@ impl From<InvalidRequest> for Error {
 }
 
 impl Error {
+    /// Names the tags of a request that the PLC refused; other errors stay as they are.
+    pub(crate) fn of_tags(self, tags: &[Tag]) -> Self {
+        if let Self::PartlyWritten { written, count, source } = self {
+            return Self::PartlyWritten { written, count, source: Box::new(source.of_tags(tags)) };
+        }
+        let is_refusal = matches!(self, Self::Plc { .. });
+        if is_refusal { Self::RefusedTags { tags: tags.to_vec(), source: Box::new(self) } } else { self }
+    }
+
     /// Returns `true` if no reply came in time, also of a station that is offline.
     ///
-    /// For [`PartlyWritten`](Self::PartlyWritten) and [`ReadBeforeWrite`](Self::ReadBeforeWrite) this
-    /// and the following methods tell of its source.
+    /// For [`PartlyWritten`](Self::PartlyWritten), [`RefusedTags`](Self::RefusedTags) and
+    /// [`ReadBeforeWrite`](Self::ReadBeforeWrite) this and the following methods tell of its source.
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         match self {
             Self::Timeout { .. } | Self::Offline { .. } => true,
-            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_timeout(),
+            Self::PartlyWritten { source, .. }
+            | Self::RefusedTags { source, .. }
+            | Self::ReadBeforeWrite { source } => source.is_timeout(),
             Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_timeout),
             Self::Invalid(_)
             | Self::Tag(_)
@@ -420,7 +456,9 @@ impl Error {
     pub fn is_connect(&self) -> bool {
         match self {
             Self::Connect { .. } | Self::Disconnected { .. } => true,
-            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_connect(),
+            Self::PartlyWritten { source, .. }
+            | Self::RefusedTags { source, .. }
+            | Self::ReadBeforeWrite { source } => source.is_connect(),
             Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_connect),
             Self::Invalid(_)
             | Self::Tag(_)
@@ -453,7 +491,9 @@ impl Error {
             | Self::Disconnected { .. }
             | Self::QueueFull { .. }
             | Self::GateClosed { .. } => true,
-            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.is_transient(),
+            Self::PartlyWritten { source, .. }
+            | Self::RefusedTags { source, .. }
+            | Self::ReadBeforeWrite { source } => source.is_transient(),
             Self::Clock { failure, .. } => failure.call_error().is_some_and(Self::is_transient),
             Self::Invalid(_) | Self::Tag(_) | Self::Plc { .. } | Self::Closed { .. } => false,
         }
@@ -469,6 +509,7 @@ impl Error {
         match self {
             Self::Invalid(_) | Self::Tag(_) | Self::QueueFull { .. } | Self::ReadBeforeWrite { .. } => false,
             Self::Plc { repeated, .. } => *repeated,
+            Self::RefusedTags { source, .. } => source.may_have_executed(),
             Self::PartlyWritten { .. } => true,
             Self::Clock { failure, .. } => failure.may_have_executed(),
             Self::Timeout { sent, .. }
@@ -495,7 +536,9 @@ impl Error {
     pub fn error_code(&self) -> Option<ErrorCode> {
         match self {
             Self::Plc { error, .. } => Some(*error),
-            Self::PartlyWritten { source, .. } | Self::ReadBeforeWrite { source } => source.error_code(),
+            Self::PartlyWritten { source, .. }
+            | Self::RefusedTags { source, .. }
+            | Self::ReadBeforeWrite { source } => source.error_code(),
             Self::Clock { failure, .. } => failure.call_error().and_then(Self::error_code),
             Self::Invalid(_)
             | Self::Tag(_)

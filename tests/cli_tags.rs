@@ -77,6 +77,32 @@ fn a_plan_names_tags_with_common_elements() {
     let output = fatek(&["plan", "--tags", &path]);
     assert!(output.stderr.contains("line 2, near (R5:i16) has elements of far (R0-R9) in line 1"), "{output:?}");
     assert!(output.ok().contains("R0"));
+    fs::write(&path, "far = \"R0-R9\"\nnear = { at = \"R5:i16\" }\nother = \"R20\"\n").unwrap();
+    let of = |name: &str| fatek(&["plan", "--tags", &path, name]).stderr;
+    assert!(of("near").contains("line 2, near") && of("far").contains("line 2, near"));
+    // Before: the same line, of tags that were not asked for.
+    assert_eq!(of("other"), "");
+}
+
+/// Before: `wrote R5:i16*0.1-40=21.55`, which is not what the PLC has, and the element in place of the name.
+#[test]
+fn a_write_prints_the_name_and_the_value_that_is_stored() {
+    let folder = Folder::new("cli-tags-write");
+    let path = folder.file("mixer.toml");
+    fs::write(&path, "temperature = { at = \"R5:i16*0.1-40\" }\n").unwrap();
+    let sim = Sim::start(&["--listen", "tcp://127.0.0.1:0"]);
+    let wrote = |arguments: &[&str]| {
+        let output = sim.fatek(arguments);
+        assert_eq!(output.status, 0, "{output:?}");
+        output.stderr
+    };
+    let line = wrote(&["write", "--tags", &path, "temperature=21.54", "--verify"]);
+    assert_eq!(line, "wrote temperature=21.5 (21.54 was given)\n");
+    assert!(sim.fatek(&["read", "--tags", &path, "temperature"]).ok().ends_with("  21.5\n"));
+    assert_eq!(
+        wrote(&["write", "R5:i16*0.1-40=21.5", "R6:u16*3=4"]),
+        "wrote R5:i16*0.1-40=21.5\nwrote R6:u16*3=3.0 (4.0 was given)\n"
+    );
 }
 
 #[test]

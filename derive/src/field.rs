@@ -67,19 +67,23 @@ impl<'i> Field<'i> {
     /// Parses one option behind the text.
     fn option(&mut self, input: syn::parse::ParseStream<'_>) -> Result<()> {
         let option: Ident = input.parse()?;
-        match option.to_string().as_str() {
-            "read_only" => self.read_only = true,
+        let is_second = match option.to_string().as_str() {
+            "read_only" => std::mem::replace(&mut self.read_only, true),
             "one_scan" => {
-                self.one_scan = Some(if input.parse::<Option<Token![=]>>()?.is_some() {
-                    input.parse()?
-                } else {
-                    LitStr::new("", option.span())
-                });
+                let group =
+                    if input.parse::<Option<Token![=]>>()?.is_some() { Some(input.parse::<LitStr>()?) } else { None };
+                if let Some(empty) = group.as_ref().filter(|group| group.value().is_empty()) {
+                    return Err(Error::new(empty.span(), "the name of a group is empty: write `one_scan` alone"));
+                }
+                self.one_scan.replace(group.unwrap_or_else(|| LitStr::new("", option.span()))).is_some()
             }
             other => {
                 let error = format!("`{other}` is not an option of a tag (known: one_scan read_only)");
                 return Err(Error::new(option.span(), error));
             }
+        };
+        if is_second {
+            return Err(Error::new(option.span(), format!("the field `{}` has `{option}` twice", self.name)));
         }
         Ok(())
     }

@@ -50,7 +50,11 @@ async fn a_struct_is_written_and_read_as_a_whole() {
     station.write_struct(&Tank { pump_runs: false, door_is_open: false, ..full() }).await.unwrap();
     assert_eq!(station.read_struct::<Tank>().await.unwrap(), full());
     let error = station.write_struct(&Tank { temperature: 1e9, ..full() }).await.unwrap_err();
-    assert_eq!(error.to_string(), "1000000000 cannot be written to R5:i16*0.1-40 (scaled)");
+    assert_eq!(
+        error.to_string(),
+        "1000000000.0 cannot be written to R5:i16*0.1-40 (scaled): the raw number of 1000000000.0 is 10000000400.0, out \
+         of range: i16 takes -32768 to 32767"
+    );
 }
 
 #[test]

@@ -68,6 +68,20 @@ pub enum InvalidRequest {
         /// The number of elements.
         count: usize,
     },
+    /// A value of several elements is longer than a request to this station may be, and no request
+    /// splits a value. See [`Capabilities`](crate::Capabilities).
+    #[error("{code}: the value from {first} on has {count} elements, and the station takes {max} in one request")]
+    #[non_exhaustive]
+    ValueTooLong {
+        /// The command.
+        code: Code,
+        /// The first element.
+        first: Element,
+        /// The number of elements of the value.
+        count: usize,
+        /// The largest number.
+        max: usize,
+    },
     /// The framing does not have this command.
     #[error("{code} does not exist in the {framing} framing")]
     NotInFraming {

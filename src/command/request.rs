@@ -145,6 +145,7 @@ impl InvalidRequest {
             Self::Count { .. }
             | Self::Units { .. }
             | Self::OneByOne { .. }
+            | Self::ValueTooLong { .. }
             | Self::NoBroadcast { .. }
             | Self::Station { .. } => ErrorCode::IllegalValue,
         }

@@ -24,7 +24,7 @@ pub enum ElementError {
         symbol: Symbol,
     },
     /// The address is past the last one.
-    #[error("{symbol}{address} is past the last address, {symbol}{}", symbol.last_address())]
+    #[error("{}is past the last address, {symbol}{}", Given(*symbol, *address), symbol.last_address())]
     OutOfRange {
         /// The symbol.
         symbol: Symbol,
@@ -127,5 +127,15 @@ impl fmt::Display for AllSymbols {
             f.write_str(symbol.as_str())?;
         }
         Ok(())
+    }
+}
+
+/// Displays an address that was given, unless it is too large to be known.
+struct Given(Symbol, u32);
+
+impl fmt::Display for Given {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(symbol, address) = *self;
+        if address < u32::MAX { write!(f, "{symbol}{address} ") } else { write!(f, "the address of {symbol} ") }
     }
 }

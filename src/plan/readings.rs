@@ -2,6 +2,7 @@ use super::read::RequestResult;
 use super::reply::ReplyWords;
 use super::{Plan, ValueSlot};
 use crate::command::Value;
+use crate::error::Error;
 use crate::tag::{Tag, TagValue};
 
 /// The results of a [`Plan`]: for each tag its values or an error.
@@ -31,6 +32,21 @@ pub struct PlanReadings<'p, E> {
     refused: Vec<usize>,
     /// The places of all values, if some differ from those of the plan.
     slots: Option<Vec<ValueSlot>>,
+}
+
+impl PlanReadings<'_, Error> {
+    /// The values of the tags with these indices, or the error of the first one that failed. If the plan has
+    /// several tags, a refusal names those of its request.
+    pub(crate) fn all_values(&self, tags: impl Iterator<Item = usize>) -> Result<Vec<Vec<TagValue>>, Error> {
+        let read = |tag: usize| self.tag(tag).unwrap_or_else(|| Ok(Vec::new()));
+        let all: Result<_, &Error> = tags.map(read).collect();
+        all.map_err(|error| {
+            // Tags of the same request have the same error.
+            let is_of_it = |values: &Result<_, &Error>| values.as_ref().is_err_and(|other| std::ptr::eq(*other, error));
+            let refused: Vec<Tag> = self.iter().filter(|(_, values)| is_of_it(values)).map(|(tag, _)| tag).collect();
+            if self.plan.tags.len() > 1 { error.clone().of_tags(&refused) } else { error.clone() }
+        })
+    }
 }
 
 impl<'p, E> PlanReadings<'p, E> {

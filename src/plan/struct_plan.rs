@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use super::{CostModel, Limits, Plan, PlanBuilder, PlanError};
 use crate::error::Error;
 use crate::station::Station;
-use crate::tag::{Field, TagAccessError, TagValue, Tags};
+use crate::tag::{Field, Tags};
 
 /// The plan of a struct of [`Tags`]: made once, read often.
 ///
@@ -91,17 +91,13 @@ impl<T: Tags> StructPlan<T> {
     /// Reads the struct.
     ///
     /// # Errors
-    /// Those of [every method](Station#errors), for the first field that fails. A read fails as a whole.
+    /// Those of [every method](Station#errors), for the first field that fails: [`Error::RefusedTags`] names
+    /// the tags of a request that the PLC refused. A read fails as a whole.
     ///
     /// Cancel-safe: it only reads.
     pub async fn read(&self, station: &Station) -> Result<T, Error> {
         let readings = self.plan.read(station).await;
-        let values = |&tag: &usize| match readings.tag(tag) {
-            Some(values) => values.map_err(Error::clone),
-            None => Err(TagAccessError::Number.into()),
-        };
-        let values: Vec<Vec<TagValue>> = self.tags.iter().map(values).collect::<Result<_, _>>()?;
-        Ok(T::from_values(&values)?)
+        Ok(T::from_values(&readings.all_values(self.tags.iter().copied())?)?)
     }
 }
 

@@ -32,6 +32,7 @@ fn kind(error: &Error) -> &'static str {
         Error::Connect { .. } => "connect",
         Error::Disconnected { .. } => "disconnected",
         Error::PartlyWritten { .. } => "partly_written",
+        Error::RefusedTags { .. } => "refused_tags",
         Error::ReadBeforeWrite { .. } => "read_before_write",
         Error::Clock { .. } => "clock",
         Error::Closed { .. } => "closed",

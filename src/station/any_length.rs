@@ -7,10 +7,11 @@
 //!   long as the protocol and the declared capabilities of the station allow, or one element shorter: the link
 //!   chooses, to tell its reply from the one before. Counters of 32 bits are read and written one by
 //!   one.
+//! - A value that is longer than a request is refused before anything is sent.
 //! - The first failure ends the call. A write reports how many elements are confirmed as written.
 
 use super::{JobReply, Outcome, Station, StationJob};
-use crate::command::{self, ArrayVec, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
+use crate::command::{ArrayVec, Code, Command, Consecutive, InvalidRequest, StackReply, ValueOf, check_range};
 use crate::element::{Element, ElementError};
 use crate::error::Error;
 
@@ -108,9 +109,9 @@ where
     E: Into<Element> + TryFrom<Element, Error = ElementError> + Copy,
     C: Command<Reply = ()>,
 {
+    check_value(station, C::CODE, (first.into(), unit))?;
     let (count, most) = (values.len(), station.request_lengths().most(first.into()));
-    // A value that the device cannot take at once is sent whole, and refused.
-    let most = (most / unit.max(1) * unit).max(unit.min(command::most_in_one_request(first.into())));
+    let most = most / unit.max(1) * unit;
     if (1..=most).contains(&count) {
         return station.call(request(first, values)?).await;
     }
@@ -135,6 +136,16 @@ where
         // All were acknowledged, but not confirmed.
         Err(error) => Err(unknown(job.first_held().unwrap_or(count), error)),
     }
+}
+
+/// Checks that one request to the station can have a value of this many elements.
+pub(super) fn check_value(
+    station: &Station,
+    code: Code,
+    (first, count): (Element, usize),
+) -> Result<(), InvalidRequest> {
+    let max = station.request_lengths().most(first);
+    if count > max { Err(InvalidRequest::ValueTooLong { code, first, count, max }) } else { Ok(()) }
 }
 
 /// The error of a write of `count` values, of which `written` were written before it.

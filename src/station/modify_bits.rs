@@ -51,8 +51,7 @@ impl Station {
             return Err(TagAccessError::NotBitsOfRegister { tag }.into());
         }
         if states.len() != tag.value_count() {
-            let given = format!("{} values", states.len());
-            return Err(TagAccessError::Misfit { tag, given }.into());
+            return Err(TagAccessError::misfit_of(&tag, states.len()).into());
         }
         let began = Instant::now();
         let deadline = later(began, self.options().call_timeout());

@@ -5,10 +5,10 @@
 //!   are within the framing.
 //! - A value of several registers is read by one request and written by one request.
 
-use super::any_length::partly;
+use super::any_length::{check_value, partly};
 use crate::capabilities::Refused;
 use crate::command::{Code, Command as _, WriteMixed};
-use crate::element::{Element, Value};
+use crate::element::{Element, Value, Width};
 use crate::error::Error;
 use crate::plan::{CostModel, Plan, PlanError, StructPlan};
 use crate::station::Station;
@@ -51,7 +51,8 @@ impl Station {
     ///
     /// # Errors
     /// [`Error::Tag`] for a text that is not a tag, or a tag that does not fit; those of
-    /// [every method](Self#errors), for the first tag that fails. A read fails as a whole.
+    /// [every method](Self#errors), for the first tag that fails: [`Error::RefusedTags`] names the tags of a
+    /// request that the PLC refused. A read fails as a whole; a [`Plan`] has a result for each tag.
     ///
     /// Cancel-safe: it only reads.
     pub async fn read<T, S>(&self, tags: S) -> Result<T, Error>
@@ -79,7 +80,8 @@ impl Station {
     /// station.write("M5", true).await?;
     ///
     /// let error = station.write("R7", 70_000).await.unwrap_err();
-    /// assert_eq!(error.to_string(), "70000 cannot be written to R7 (u16 of 16 bits)");
+    /// let text = "70000 cannot be written to R7 (u16 of 16 bits): out of range: u16 takes 0 to 65535";
+    /// assert_eq!(error.to_string(), text);
     /// # Ok(()) });
     /// ```
     ///
@@ -109,23 +111,26 @@ impl Station {
     ///
     /// # Errors
     /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit: nothing is sent.
-    /// Those of [every method](Self#errors); after the first request [`Error::PartlyWritten`], which
-    /// counts the values of all tags.
+    /// Those of [every method](Self#errors); [`Error::RefusedTags`] names the tags of a request that the
+    /// PLC refused. After the first request [`Error::PartlyWritten`], which counts the values of all tags.
     ///
     /// Cancel safety: as of [every method](Self#cancel-safety); what was written stays written.
     pub async fn write_all(&self, assignments: impl IntoAssignments) -> Result<(), Error> {
         let assignments = assignments.into_assignments()?;
         let cost = CostModel::of_station(self);
         let framing = self.link.framing();
-        for assignment in &assignments {
-            assignment.tag().check_in(framing).map_err(crate::InvalidRequest::from)?;
+        for tag in assignments.iter().map(Assignment::tag) {
+            tag.check_in(framing).map_err(crate::InvalidRequest::from)?;
+            let code = if tag.first().width() == Width::Bit { Code::WriteDiscretes } else { Code::WriteRegisters };
+            check_value(self, code, (tag.first(), tag.elements_per_value()))?;
         }
         let count = value_count(&assignments);
         let mut rest = assignments.as_slice();
         while !rest.is_empty() {
             let (group, others) = rest.split_at(together(rest, &cost));
             let written = count - value_count(rest);
-            self.write_group(group).await.map_err(|(in_group, error)| partly(written + in_group, count, error))?;
+            let result = self.write_group(group, assignments.len() > 1).await;
+            result.map_err(|(in_group, error)| partly(written + in_group, count, error))?;
             rest = others;
         }
         Ok(())
@@ -164,24 +169,26 @@ impl Station {
         let plan = Plan::builder_for(self).tags(tags.iter().copied()).build();
         let plan = plan.map_err(PlanError::into_call_error)?;
         let readings = plan.read(self).await;
-        readings.iter().map(|(_, values)| values.map_err(Error::clone)).collect()
+        readings.all_values(0..tags.len())
     }
 
     /// Writes assignments by one request, or one by one. The error has the number of values written
-    /// before.
-    async fn write_group(&self, group: &[Assignment]) -> Result<(), (usize, Error)> {
+    /// before, and the tags if these are among others.
+    async fn write_group(&self, group: &[Assignment], is_among_others: bool) -> Result<(), (usize, Error)> {
         if group.len() > 1 && !self.link.known_capabilities(self.number).lacks(Code::WriteMixed) {
             match self.write_mixed(&items(group)).await {
                 // The PLC does not know the command, so it has written nothing.
                 Err(Error::Plc { repeated: false, error, .. }) if error.is_about_the_command() => {
                     self.link.learn_capability(self.number, Refused::MixedWrites);
                 }
-                result => return result.map_err(|error| (0, error)),
+                result => return result.map_err(|error| (0, error.of_tags(&tags_of(group)))),
             }
         }
         for (n, assignment) in group.iter().enumerate() {
             let written = value_count(group.get(..n).unwrap_or_default());
-            self.write_assignment(assignment).await.map_err(|error| (written, error))?;
+            let result = self.write_assignment(assignment).await;
+            let named = |error: Error| if is_among_others { error.of_tags(&[assignment.tag()]) } else { error };
+            result.map_err(|error| (written, named(error)))?;
         }
         Ok(())
     }
@@ -215,6 +222,10 @@ fn of_width<T: TryFrom<Value>>(raw: &[Value]) -> Vec<T> {
     let values: Vec<T> = raw.iter().filter_map(|&value| value.try_into().ok()).collect();
     debug_assert_eq!(values.len(), raw.len(), "the values of an assignment are as wide as its elements");
     values
+}
+
+fn tags_of(assignments: &[Assignment]) -> Vec<Tag> {
+    assignments.iter().map(Assignment::tag).collect()
 }
 
 fn value_count(assignments: &[Assignment]) -> usize {

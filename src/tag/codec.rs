@@ -157,7 +157,8 @@ impl<T: Real> Codec for Float<T> {
 
     fn take(number: Number) -> Option<T> {
         match number {
-            Number::Float(float) => Self::nearest(float),
+            Number::Single(float) => Some(T::of_single(float)),
+            Number::Double(float) => Self::nearest(float),
             // An integer is not rounded.
             Number::Integer(integer) => {
                 #[allow(clippy::cast_possible_truncation, reason = "compared with the integer")]
@@ -266,7 +267,9 @@ impl<T: Primitive + TryFrom<i128>> Codec for Hex<T> {
 #[derive(Clone, Copy)]
 pub(super) enum Number {
     Integer(i128),
-    Float(f64),
+    /// Apart from `Double`, since a conversion of a signalling NaN changes its bits.
+    Single(f32),
+    Double(f64),
 }
 
 impl Number {
@@ -280,7 +283,8 @@ impl Number {
     pub(super) fn as_f64(self) -> f64 {
         match self {
             Self::Integer(integer) => integer as f64,
-            Self::Float(float) => float,
+            Self::Single(float) => float.into(),
+            Self::Double(float) => float,
         }
     }
 }
@@ -317,6 +321,9 @@ impl Primitive for bool {
 pub(super) trait Real: Primitive + fmt::Debug + fmt::Display + FromStr {
     /// The float nearest to a number.
     fn nearest(number: f64) -> Self;
+
+    /// The float that equals this one.
+    fn of_single(number: f32) -> Self;
 }
 
 macro_rules! primitives {

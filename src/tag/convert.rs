@@ -129,6 +129,28 @@ impl FromTag for String {
     }
 }
 
+impl TryFrom<&TagValue> for String {
+    type Error = TagAccessError;
+
+    /// # Errors
+    /// [`TagAccessError::Conversion`] unless the value is a text.
+    fn try_from(value: &TagValue) -> Result<Self, Self::Error> {
+        if let TagValue::Text(text) = value {
+            Ok(text.clone())
+        } else {
+            Err(TagAccessError::conversion(value, "String"))
+        }
+    }
+}
+
+impl TryFrom<TagValue> for String {
+    type Error = TagAccessError;
+
+    fn try_from(value: TagValue) -> Result<Self, Self::Error> {
+        if let TagValue::Text(text) = value { Ok(text) } else { Err(TagAccessError::conversion(&value, "String")) }
+    }
+}
+
 impl FromTag for TagValue {
     fn type_name() -> String {
         "TagValue".to_owned()
@@ -196,6 +218,24 @@ pub(super) use tag_values;
 /// - `&str` and `String` for texts.
 /// - [`TagValue`] for tags of its type.
 /// - `Vec`s, slices and arrays of these for tags with as many values.
+///
+/// Own types can be written as well:
+///
+/// ```
+/// use fatek::tag::{IntoTagValues, Tag, TagAccessError, TagValue};
+///
+/// struct Bar(f64);
+///
+/// impl IntoTagValues for Bar {
+///     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
+///         self.0.into_values(tag)
+///     }
+/// }
+/// # fatek::sim::doctest(|station| async move {
+/// station.write("R5:u16*0.01", Bar(2.5)).await?;
+/// # assert_eq!(station.read::<u16, _>("R5").await?, 250);
+/// # Ok(()) });
+/// ```
 pub trait IntoTagValues {
     /// The values for this tag.
     ///
@@ -204,52 +244,83 @@ pub trait IntoTagValues {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError>;
 }
 
-/// The value of a number for a tag; `None` if the tag does not take it.
-fn number_for(tag: &Tag, number: Number) -> Option<TagValue> {
-    match (tag.storage, tag.scale) {
-        (Storage::Bits(..), Some(_)) => Some(TagValue::Scaled(number.as_f64())),
-        (Storage::Bits(format, _), None) => format.take(number),
-        (Storage::Text(_) | Storage::BitsOf(_), _) => None,
+impl Tag {
+    /// The value of a number.
+    pub(super) fn value_of_number(&self, number: Number) -> Result<TagValue, ValueError> {
+        let tag_type = self.tag_type();
+        match (self.storage, self.scale) {
+            (Storage::Bits(..), Some(_)) => Ok(TagValue::Scaled(number.as_f64())),
+            (Storage::Bits(format, _), None) => format.take(number).ok_or(match number {
+                Number::Integer(_) if format.is_float() && format.nearest(number.as_f64()).is_some() => {
+                    ValueError::Inexact { tag_type }
+                }
+                Number::Integer(_) if tag_type.is_number() => ValueError::OutOfRange { tag_type },
+                // An integer beyond 64 bits is a float in JSON.
+                Number::Single(_) | Number::Double(_)
+                    if format.is_float() || number.as_f64().abs() >= 2_f64.powi(64) =>
+                {
+                    ValueError::OutOfRange { tag_type }
+                }
+                Number::Single(_) | Number::Double(_) if tag_type.is_number() => {
+                    ValueError::Kind { tag_type, kind: "floats" }
+                }
+                Number::Integer(_) | Number::Single(_) | Number::Double(_) => {
+                    ValueError::Kind { tag_type, kind: "numbers" }
+                }
+            }),
+            (Storage::Text(_) | Storage::BitsOf(_), _) => Err(ValueError::Kind { tag_type, kind: "numbers" }),
+        }
     }
 }
 
 /// The value of a single one, checked by encoding it: also its raw number must fit.
-fn single(tag: &Tag, value: Option<TagValue>, given: impl ToString) -> Result<Vec<TagValue>, TagAccessError> {
+fn single(
+    tag: &Tag,
+    value: Result<TagValue, ValueError>,
+    given: impl FnOnce() -> String,
+) -> Result<Vec<TagValue>, TagAccessError> {
     if tag.is_bits_of_register() {
         return Err(TagAccessError::BitsOfRegister(ValueError::BitsOfRegister { tag: *tag }));
     }
-    let misfit = || TagAccessError::Misfit { tag: *tag, given: given.to_string() };
-    let values = vec![value.ok_or_else(misfit)?];
-    tag.encode(&values).map_err(|_| misfit())?;
-    Ok(values)
+    let checked = value.and_then(|value| {
+        let values = vec![value];
+        tag.encode(&values).map(|_| values)
+    });
+    checked.map_err(|error| {
+        // The text has both kinds already.
+        let reason = Some(error).filter(|error| !matches!(error, ValueError::WrongType { .. })).map(Box::new);
+        TagAccessError::Misfit { tag: *tag, given: given(), reason }
+    })
 }
 
 macro_rules! written_numbers {
-    ($($name:ident $variant:ident;)*) => {
+    ($($name:ident $variant:ident $form:literal;)*) => {
         $(
             impl IntoTagValues for $name {
                 fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
-                    single(tag, number_for(tag, Number::$variant(self.into())), self)
+                    single(tag, tag.value_of_number(Number::$variant(self.into())), || format!($form, self))
                 }
             }
         )*
     };
 }
 
+// Debug shows that 1.0 is a float, and uses an exponent where Display would write up to 309 digits.
 written_numbers! {
-    u8 Integer; i8 Integer; u16 Integer; i16 Integer; u32 Integer; i32 Integer; u64 Integer; i64 Integer;
-    f32 Float; f64 Float;
+    u8 Integer "{}"; i8 Integer "{}"; u16 Integer "{}"; i16 Integer "{}"; u32 Integer "{}"; i32 Integer "{}";
+    u64 Integer "{}"; i64 Integer "{}"; f32 Single "{:?}"; f64 Double "{:?}";
 }
 
 impl IntoTagValues for bool {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
-        single(tag, Some(TagValue::Bool(self)), self)
+        single(tag, Ok(TagValue::Bool(self)), || self.to_string())
     }
 }
 
 impl IntoTagValues for &str {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
-        single(tag, Some(TagValue::Text(self.to_owned())), TagValue::Text(self.to_owned()))
+        let text = TagValue::Text(self.to_owned());
+        single(tag, Ok(text.clone()), || text.to_string())
     }
 }
 
@@ -261,8 +332,8 @@ impl IntoTagValues for String {
 
 impl IntoTagValues for TagValue {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
-        let given = self.to_string();
-        single(tag, Some(self), given)
+        let given = self.clone();
+        single(tag, Ok(self), || format!("{given} ({})", given.description()))
     }
 }
 
@@ -270,7 +341,7 @@ impl<T: IntoTagValues> IntoTagValues for Vec<T> {
     fn into_values(self, tag: &Tag) -> Result<Vec<TagValue>, TagAccessError> {
         let given = self.len();
         if given != tag.value_count() {
-            return Err(TagAccessError::Misfit { tag: *tag, given: format!("{given} values") });
+            return Err(TagAccessError::misfit_of(tag, given));
         }
         let singles = tag.singles().zip(self).map(|(tag, value)| value.into_values(&tag));
         // A text is one value.

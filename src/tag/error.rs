@@ -125,6 +125,9 @@ pub enum TagError {
     /// Gain and offset are invalid.
     #[error(transparent)]
     Scale(#[from] ScaleError),
+    /// A gain or offset follows an element without a type.
+    #[error("a gain or offset follows a type, such as in R5:u16*0.1")]
+    ScaleWithoutType,
     /// The type cannot have a gain or offset.
     #[error("{tag_type} takes neither gain nor offset (types that do: {})", Names(scalable()))]
     #[non_exhaustive]
@@ -188,6 +191,7 @@ impl TagError {
             Self::Scale(ScaleError::Gain { .. } | ScaleError::Offset { .. } | ScaleError::Coarse { .. }) => {
                 "not a tag: the numbers of its scale are out of range"
             }
+            Self::ScaleWithoutType => "not a tag: a gain or offset follows a type, such as in R5:u16*0.1",
             Self::NotScalable { .. } => "not a tag: this type takes neither gain nor offset",
             Self::NoValues => "not a tag: it has no values",
             Self::PastTheEnd { .. } => "not a tag: the elements reach past the last address",
@@ -269,6 +273,22 @@ pub enum ValueError {
     OutOfRange {
         /// The type.
         tag_type: TagType,
+    },
+    /// A float does not have the integer: the nearest one is another number.
+    #[error("{tag_type} does not have this integer exactly")]
+    #[non_exhaustive]
+    Inexact {
+        /// The type.
+        tag_type: TagType,
+    },
+    /// A value of another kind: a number for a `bool`, or a float for an integer.
+    #[error("{tag_type} takes no {kind}")]
+    #[non_exhaustive]
+    Kind {
+        /// The type.
+        tag_type: TagType,
+        /// The kind of the value.
+        kind: &'static str,
     },
     /// The raw number of a scaled value is out of the range of the type.
     #[error("the raw number of {value:?} is {raw:?}, out of range: {tag_type} takes {}", tag_type.takes())]
@@ -400,13 +420,15 @@ pub enum TagAccessError {
         value: String,
     },
     /// A value cannot be written to the tag.
-    #[error("{given} cannot be written to {}", Values(tag))]
+    #[error("{given} cannot be written to {}{}", Values(tag), Reason(reason.as_deref()))]
     #[non_exhaustive]
     Misfit {
         /// The tag.
         tag: Tag,
         /// The value, or the number of values.
         given: String,
+        /// The rule that the value breaks, unless the kind or the number of values is wrong.
+        reason: Option<Box<ValueError>>,
     },
     /// The tag is bits of a register, which are not written by themselves. See
     /// [`Station::modify_bits`](crate::Station::modify_bits).
@@ -439,8 +461,14 @@ pub enum TagAccessError {
         rust_type: &'static str,
     },
     /// The number of tags is not that of the items of the Rust type.
-    #[error("the number of tags is not that of the items of the Rust type")]
-    Number,
+    #[error("the number of tags is {tags}, and that of the items of the Rust type {items}")]
+    #[non_exhaustive]
+    Number {
+        /// The number of tags.
+        tags: usize,
+        /// The number of items of the Rust type.
+        items: usize,
+    },
     /// No plan reads the tags: they have too many values.
     #[error("the tags cannot be read: {reason}")]
     #[non_exhaustive]
@@ -451,6 +479,12 @@ pub enum TagAccessError {
 }
 
 impl TagAccessError {
+    /// The error of another number of values than that of the tag.
+    pub(crate) fn misfit_of(tag: &Tag, given: usize) -> Self {
+        let given = if given == 1 { "1 value".to_owned() } else { format!("{given} values") };
+        Self::Misfit { tag: *tag, given, reason: None }
+    }
+
     pub(super) fn conversion(value: &TagValue, rust_type: &'static str) -> Self {
         Self::Conversion { value: value.clone(), rust_type }
     }
@@ -466,6 +500,15 @@ impl fmt::Display for Values<'_> {
             1 => write!(f, "{tag} ({})", tag.description()),
             count => write!(f, "{tag} ({count} values, each {})", tag.description()),
         }
+    }
+}
+
+/// Displays the rule behind an error, if there is one.
+struct Reason<'e>(Option<&'e ValueError>);
+
+impl fmt::Display for Reason<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |reason| write!(f, ": {reason}"))
     }
 }
 

@@ -46,6 +46,9 @@ use super::{Assignment, FromTag, IntoAssignment as _, IntoTagValues, Tag, TagAcc
 /// A write of the struct writes all fields that are not `read_only`, also those that were not changed. So
 /// make each field `read_only` whose tag the program of the PLC or anything else writes.
 ///
+/// A field can have an own type: one that is [`FromTag`], and unless it is `read_only` also [`IntoTagValues`] and
+/// `Clone`.
+///
 /// Without the feature, [`FIELDS`](Self::FIELDS) and the three functions are written by hand, with
 /// [`Field::check`], [`Field::value`] and [`Field::assignment`].
 pub trait Tags: Sized {

@@ -51,6 +51,10 @@ impl<'t> Parts<'t> {
 
     /// The tag without its scale.
     const fn unscaled(self) -> Result<Tag, TagError> {
+        // An element has neither.
+        if split_once(self.elements, b'*').is_some() || split_once(self.elements, b'+').is_some() {
+            return Err(TagError::ScaleWithoutType);
+        }
         let tag_type = match self.type_name {
             None => None,
             Some(name) => match TagType::named(name) {

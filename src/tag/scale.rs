@@ -1,8 +1,8 @@
 //! Gain and offset between raw numbers and engineering values.
 //!
 //! Invariants:
-//! - The value of an integer is the `f64` nearest to the decimal `raw * gain + offset`, if neither
-//!   product nor offset has more than 14 digits: 123 * 0.1 is 12.3, not 12.300000000000001.
+//! - The value of an integer is the `f64` nearest to the decimal `raw * gain + offset`, if gain and offset
+//!   have at most 15 digits, and at most 22 decimals: 123 * 0.1 is 12.3, not 12.300000000000001.
 //! - The value of an integer encodes to the same integer, also after display and parsing.
 //! - The value of an `f32` does, too, unless it is too small beside the offset. NaN stays NaN, and
 //!   infinity stays infinity.
@@ -136,12 +136,31 @@ impl Scale {
     /// The value of a raw number of this format, from its bits.
     pub(super) fn value(self, format: Format, bits: u64) -> f64 {
         let raw = format.value(bits).as_f64().unwrap_or(f64::NAN);
+        if !format.is_float()
+            && let Some(value) = self.exact(raw)
+            && self.bits(format, value) == Some(bits)
+        {
+            return value;
+        }
         let product = raw * self.gain;
         // Without an offset, a float of -0 stays -0; an integer has no -0.
         let value = if format.is_float() && self.offset == 0.0 { product } else { product + self.offset };
         let decimals = self.gain_decimals.saturating_add(format.decimals(bits)).max(self.offset_decimals);
         let rounded = round(value, product.abs().max(self.offset.abs()), decimals);
         if self.bits(format, rounded) == Some(bits) { rounded } else { value }
+    }
+
+    /// The value of an integer, calculated with decimals; `None` if that is not exact.
+    #[allow(clippy::cast_possible_truncation, reason = "an integer of at most 32 bits")]
+    fn exact(self, raw: f64) -> Option<f64> {
+        let decimals = self.gain_decimals.max(self.offset_decimals);
+        let product = (raw as i128).checked_mul(units(self.gain, decimals)?)?;
+        let sum = product.checked_add(units(self.offset, decimals)?)?;
+        let power = POWERS.get(usize::from(decimals))?;
+        // A division of two exact numbers is rounded once.
+        #[allow(clippy::cast_precision_loss, reason = "compared")]
+        let is_exact = sum.unsigned_abs() <= MAX_EXACT;
+        if is_exact { Some(sum as f64 / power) } else { format!("{sum}e-{decimals}").parse().ok() }
     }
 
     /// The bits of the raw number, rounded; `None` if it is out of the range of the format.
@@ -161,6 +180,19 @@ const POWERS: [f64; 23] = [
     1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
     1e21, 1e22,
 ];
+
+/// The largest of the integers that an `f64` has without gaps.
+const MAX_EXACT: u128 = 1 << 53;
+
+/// A decimal number as a multiple of `10^-decimals`; `None` if the number has more than 15 digits then, and
+/// for more than 22 decimals.
+fn units(number: f64, decimals: u8) -> Option<i128> {
+    let units = number * POWERS.get(usize::from(decimals))?;
+    // The product of a number of 15 digits and a power of ten is off by less than a half.
+    #[allow(clippy::cast_possible_truncation, reason = "below 1e15")]
+    let whole = (units.abs() < 1e15).then(|| units.round() as i128);
+    whole
+}
 
 /// Rounds a value to a number of decimals if that is exact: if `largest`, the larger of its two
 /// summands, has at most 14 digits, which hides the rounding errors of the calculation.

@@ -56,20 +56,6 @@ impl Tag {
         ValuesSeed { tag: *self }
     }
 
-    /// The value of a number.
-    fn natural_number(&self, number: Number) -> Result<TagValue, ValueError> {
-        let tag_type = self.tag_type();
-        match (self.storage, self.scale) {
-            (Storage::Bits(..), Some(_)) => Ok(TagValue::Scaled(number.as_f64())),
-            (Storage::Bits(format, _), None) => format.take(number).ok_or(match number {
-                Number::Integer(_) if tag_type.is_number() => ValueError::OutOfRange { tag_type },
-                Number::Float(_) if format.is_float() => ValueError::OutOfRange { tag_type },
-                Number::Integer(_) | Number::Float(_) => ValueError::Malformed { tag_type },
-            }),
-            (Storage::Text(_) | Storage::BitsOf(_), _) => Err(ValueError::Malformed { tag_type }),
-        }
-    }
-
     /// The value of a string.
     fn natural_text(&self, text: &str) -> Result<TagValue, ValueError> {
         match self.storage {
@@ -82,7 +68,7 @@ impl Tag {
     fn natural_bool(&self, on: bool) -> Result<TagValue, ValueError> {
         match self.storage {
             Storage::Bits(Format::Bool, _) | Storage::BitsOf(_) => Ok(TagValue::Bool(on)),
-            Storage::Bits(..) | Storage::Text(_) => Err(ValueError::Malformed { tag_type: self.tag_type() }),
+            Storage::Bits(..) | Storage::Text(_) => Err(ValueError::Kind { tag_type: self.tag_type(), kind: "states" }),
         }
     }
 }
@@ -123,6 +109,7 @@ impl<'de> Visitor<'de> for ValuesSeed {
         visit_i128 i128;
         visit_u64 u64;
         visit_u128 u128;
+        visit_f32 f32;
         visit_f64 f64;
         visit_str &str;
     }
@@ -200,7 +187,7 @@ impl Visitor<'_> for ValueSeed {
     }
 
     fn visit_i128<E: de::Error>(self, number: i128) -> Result<TagValue, E> {
-        self.checked(&number, self.tag.natural_number(Number::Integer(number)))
+        self.checked(&number, self.tag.value_of_number(Number::Integer(number)))
     }
 
     fn visit_u64<E: de::Error>(self, number: u64) -> Result<TagValue, E> {
@@ -217,7 +204,11 @@ impl Visitor<'_> for ValueSeed {
 
     fn visit_f64<E: de::Error>(self, number: f64) -> Result<TagValue, E> {
         // Debug uses an exponent where Display would write up to 309 digits.
-        self.checked(&format_args!("{number:?}"), self.tag.natural_number(Number::Float(number)))
+        self.checked(&format_args!("{number:?}"), self.tag.value_of_number(Number::Double(number)))
+    }
+
+    fn visit_f32<E: de::Error>(self, number: f32) -> Result<TagValue, E> {
+        self.checked(&format_args!("{number:?}"), self.tag.value_of_number(Number::Single(number)))
     }
 
     fn visit_str<E: de::Error>(self, text: &str) -> Result<TagValue, E> {

@@ -111,12 +111,12 @@ pub(super) fn check_one<T: FromTag>(tag: Option<&Tag>) -> Result<(), TagAccessEr
     match tag {
         Some(tag) if T::fits(tag) => Ok(()),
         Some(tag) => Err(TagAccessError::NotInto { tag: *tag, rust_type: T::type_name() }),
-        None => Err(TagAccessError::Number),
+        None => Err(TagAccessError::Number { tags: 0, items: 1 }),
     }
 }
 
 pub(super) fn one<T: FromTag>(tag: Option<&Tag>, values: Option<&Vec<TagValue>>) -> Result<T, TagAccessError> {
-    let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number)?;
+    let (tag, values) = tag.zip(values).ok_or(TagAccessError::Number { tags: 0, items: 1 })?;
     T::from_values(values).ok_or_else(|| {
         let rust_type = T::type_name();
         match values.iter().find(|value| value.is_no_number()) {
@@ -148,12 +148,13 @@ impl<T: FromTag> FromTags<Several> for Vec<T> {
 
 impl<T: FromTag, const N: usize> FromTags<Several> for [T; N] {
     fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
-        if tags.len() == N { <Vec<T> as FromTags<Several>>::check(tags) } else { Err(TagAccessError::Number) }
+        let tags_are = TagAccessError::Number { tags: tags.len(), items: N };
+        if tags.len() == N { <Vec<T> as FromTags<Several>>::check(tags) } else { Err(tags_are) }
     }
 
     fn from_all_values(tags: &[Tag], values: &[Vec<TagValue>]) -> Result<Self, TagAccessError> {
         let items = <Vec<T> as FromTags<Several>>::from_all_values(tags, values)?;
-        items.try_into().map_err(|_| TagAccessError::Number)
+        items.try_into().map_err(|items: Vec<T>| TagAccessError::Number { tags: items.len(), items: N })
     }
 }
 
@@ -170,8 +171,9 @@ macro_rules! tuples {
 
             impl<$($name: FromTag),+> FromTags<Several> for ($($name,)+) {
                 fn check(tags: &[Tag]) -> Result<(), TagAccessError> {
-                    if tags.len() != [$($at),+].len() {
-                        return Err(TagAccessError::Number);
+                    let items = [$($at),+].len();
+                    if tags.len() != items {
+                        return Err(TagAccessError::Number { tags: tags.len(), items });
                     }
                     $(check_one::<$name>(tags.get($at))?;)+
                     Ok(())
@@ -225,7 +227,7 @@ impl<T: IntoTag, V: IntoTagValues> IntoAssignment for (T, V) {
     fn into_assignment(self) -> Result<Assignment, TagAccessError> {
         let (tag, values) = (self.0.into_tag()?, self.1);
         let values = values.into_values(&tag)?;
-        let misfit = |_| TagAccessError::Misfit { tag, given: format!("{} values", values.len()) };
+        let misfit = |_| TagAccessError::misfit_of(&tag, values.len());
         Assignment::new(tag, values.clone()).map_err(misfit)
     }
 }

@@ -164,6 +164,10 @@ fn errors_of_tags_name_the_input_and_the_rule() {
         ("R65535:f32", "2 elements from R65535 on reach past the last address, R65535"),
         ("WM0-4", "WM4: the address of WM must be a multiple of 8"),
         ("R0-", "R needs a decimal address, such as R0"),
+        ("R0*0.1", "a gain or offset follows a type, such as in R5:u16*0.1"),
+        ("R0-R9+5:u16", "a gain or offset follows a type, such as in R5:u16*0.1"),
+        // Before, the largest number of 32 bits was named.
+        ("R18446744073709551616", "the address of R is past the last address, R65535"),
         ("R0-R1-R2", "the address of R must be decimal digits and nothing else"),
         (
             " R0",
@@ -390,6 +394,9 @@ fn names_of_other_systems_are_accepted_for_types() {
         ("R0-R4:string", "R0-R4:text"),
         ("R0:real-hi-40", "R0:f32-hi-40"),
         ("R0:F32-HI*2", "R0:f32-hi*2"),
+        ("R0:dint-hi", "R0:i32-hi"),
+        ("R0:qword", "R0:u64"),
+        ("R0:lword-hi", "R0:u64-hi"),
     ] {
         assert_eq!(tag(text).to_string(), canonical, "{text}");
     }
@@ -401,10 +408,15 @@ fn names_of_other_systems_are_accepted_for_types() {
     for tag_type in TagType::ALL {
         names.push(tag_type.to_string());
         assert_eq!(tag_type.to_string().parse(), Ok(*tag_type));
+        for alias in tag_type.aliases().split_whitespace() {
+            names.push(alias.to_owned());
+            assert_eq!(alias.parse(), Ok(*tag_type));
+        }
     }
+    let all = names.len();
     names.sort();
     names.dedup();
-    assert_eq!(names.len(), TagType::ALL.len());
+    assert_eq!(names.len(), all);
 }
 
 #[test]

@@ -30,13 +30,15 @@ types! {
     // type  name       discrete  word   dword  class    aliases              takes
     Bool     "bool"     Bool      -      -      Bool     "boolean bit"
                                              "0 or 1, false or true, off or on";
-    U16      "u16"      -         U16    -      Number   "uint16 uint word"   "0 to 65535";
+    U16      "u16"      -         U16    -      Number   "uint16 uint word ushort"
+                                             "0 to 65535";
     I16      "i16"      -         I16    -      Number   "int16 int short"    "-32768 to 32767";
     U32      "u32"      -         U32    U32    Number   "uint32 udint dword" "0 to 4294967295";
     I32      "i32"      -         I32    I32    Number   "int32 dint"         "-2147483648 to 2147483647";
     F32      "f32"      -         F32    F32    Number   "float real float32"
                                              "-3.4028235e38 to 3.4028235e38, nan and inf";
-    U64      "u64"      -         U64    U64    Bits     "uint64 ulint lword" "0 to 18446744073709551615";
+    U64      "u64"      -         U64    U64    Bits     "uint64 ulint lword qword"
+                                             "0 to 18446744073709551615";
     I64      "i64"      -         I64    I64    Bits     "int64 lint"
                                              "-9223372036854775808 to 9223372036854775807";
     F64      "f64"      -         F64    F64    Bits     "double lreal float64"
@@ -50,14 +52,17 @@ types! {
     TextHi   "text-hi"  -         High   -      Text     "string-hi ascii-hi"
                                              "two characters per register, high byte first";
     Bcd32Hi  "bcd32-hi" -         [Bcd32] -     Bits     ""                   "0 to 99999999";
-    U32Hi    "u32-hi"   -         [U32]  -      Number   ""                   "0 to 4294967295";
-    I32Hi    "i32-hi"   -         [I32]  -      Number   ""                   "-2147483648 to 2147483647";
-    F32Hi    "f32-hi"   -         [F32]  -      Number   "float-hi real-hi"
+    U32Hi    "u32-hi"   -         [U32]  -      Number   "uint32-hi udint-hi dword-hi"
+                                             "0 to 4294967295";
+    I32Hi    "i32-hi"   -         [I32]  -      Number   "int32-hi dint-hi"
+                                             "-2147483648 to 2147483647";
+    F32Hi    "f32-hi"   -         [F32]  -      Number   "float-hi real-hi float32-hi"
                                              "-3.4028235e38 to 3.4028235e38, nan and inf";
-    U64Hi    "u64-hi"   -         [U64]  -      Bits     ""                   "0 to 18446744073709551615";
-    I64Hi    "i64-hi"   -         [I64]  -      Bits     ""
+    U64Hi    "u64-hi"   -         [U64]  -      Bits     "uint64-hi ulint-hi lword-hi qword-hi"
+                                             "0 to 18446744073709551615";
+    I64Hi    "i64-hi"   -         [I64]  -      Bits     "int64-hi lint-hi"
                                              "-9223372036854775808 to 9223372036854775807";
-    F64Hi    "f64-hi"   -         [F64]  -      Bits     "double-hi lreal-hi"
+    F64Hi    "f64-hi"   -         [F64]  -      Bits     "double-hi lreal-hi float64-hi"
                                              "-1.7976931348623157e308 to 1.7976931348623157e308, nan and inf";
 }
 
@@ -114,12 +119,20 @@ impl Real for f64 {
     fn nearest(number: f64) -> Self {
         number
     }
+
+    fn of_single(number: f32) -> Self {
+        number.into()
+    }
 }
 
 impl Real for f32 {
     #[allow(clippy::cast_possible_truncation, reason = "the nearest f32 is wanted")]
     fn nearest(number: f64) -> Self {
         number as Self
+    }
+
+    fn of_single(number: f32) -> Self {
+        number
     }
 }
 
@@ -326,7 +339,7 @@ macro_rules! types {
             }
 
             /// Its other names, separated by blanks.
-            const fn aliases(self) -> &'static str {
+            pub(super) const fn aliases(self) -> &'static str {
                 match self {
                     $(Self::$variant => $other,)*
                 }

@@ -310,15 +310,17 @@ fn of_call(error: &fatek::Error) -> u8 {
     }
 }
 
-/// Cause of a failed call; of a write of several requests and of a clock, that of the failed request.
+/// Cause of a failed call; of several requests, of several tags and of a clock, that of the failed request.
 fn cause(error: &fatek::Error) -> &fatek::Error {
-    let source =
-        if let fatek::Error::PartlyWritten { source, .. } | fatek::Error::ReadBeforeWrite { source, .. } = error {
-            Some(&**source)
-        } else if let fatek::Error::Clock { failure, .. } = error {
-            failure.call_error()
-        } else {
-            None
-        };
+    let source = if let fatek::Error::PartlyWritten { source, .. }
+    | fatek::Error::RefusedTags { source, .. }
+    | fatek::Error::ReadBeforeWrite { source, .. } = error
+    {
+        Some(&**source)
+    } else if let fatek::Error::Clock { failure, .. } = error {
+        failure.call_error()
+    } else {
+        None
+    };
     source.map_or(error, cause)
 }

@@ -6,7 +6,7 @@ use clap::{Args, ValueHint};
 
 use fatek::plant::{PlantPlc, PlantTag};
 use fatek::tag::{Assignment, Tag, TagValue};
-use fatek::tag_table::TagTable;
+use fatek::tag_table::{TagEntry, TagTable};
 
 use crate::failure::Failure;
 use crate::hint;
@@ -114,7 +114,9 @@ impl Table {
     pub(crate) fn writes(&self, texts: &[String], modify_bits: bool) -> Result<Vec<Write>, Failure> {
         let write = |text: &String| {
             let Some((name, values)) = text.split_once('=') else {
-                return text.parse().map(Write::Values).map_err(Failure::usage);
+                // An error: it has no value.
+                let assignment: Assignment = text.parse().map_err(Failure::usage)?;
+                return Ok(Write::values_of(assignment, None));
             };
             self.write(self.tag(name)?, name, values, modify_bits)
         };
@@ -128,8 +130,10 @@ impl Table {
             None => Failure::usage(error),
         })?;
         self.check_rule(name, &values)?;
+        let given_name = self.named(name).is_some().then(|| name.to_owned());
         if !tag.is_bits_of_register() {
-            return Assignment::new(tag, values).map(Write::Values).map_err(Failure::usage);
+            let assignment = Assignment::new(tag, values).map_err(Failure::usage)?;
+            return Ok(Write::values_of(assignment, given_name));
         }
         if !modify_bits {
             return Err(Failure::Usage(format!(
@@ -139,7 +143,7 @@ impl Table {
             )));
         }
         let states = values.iter().map(|value| *value == TagValue::Bool(true)).collect();
-        Ok(Write::Bits { tag, states })
+        Ok(Write::bits_of(tag, states, given_name))
     }
 
     /// Unit and comment of the tag of a name; empty without them.
@@ -150,10 +154,13 @@ impl Table {
         (unit.unwrap_or_default(), comment.unwrap_or_default())
     }
 
-    /// Prints the tags of the table that have common elements.
-    pub(crate) fn remark_overlaps(&self, output: &Output) {
+    /// Prints the tags of the table that have common elements: of all its tags, or of those that were given.
+    pub(crate) fn remark_overlaps(&self, given: &[String], output: &Output) {
+        let is_given = |entry: &TagEntry| given.is_empty() || given.iter().any(|name| name == entry.name());
         for overlap in self.table.iter().flat_map(TagTable::overlaps) {
-            output.remark(format_args!("{overlap}"));
+            if is_given(overlap.first) || is_given(overlap.second) {
+                output.remark(format_args!("{overlap}"));
+            }
         }
     }
 

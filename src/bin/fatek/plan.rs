@@ -21,7 +21,7 @@ pub(crate) fn plan(plc: &Plc, args: &PlanArgs, chosen: Option<&PlantPlc>, output
     let cost = cost(plc.link()?, known.response_time(), args)?;
     let builder = Plan::builder(cost).limits(limits(args)?.within(&known));
     let table = args.table.load(chosen)?;
-    table.remark_overlaps(output);
+    table.remark_overlaps(&args.tags, output);
     let tags = table.tags(&args.tags)?;
     let tags = tags.iter().map(|named| named.tag);
     let builder = if args.one_scan { builder.one_scan(tags) } else { builder.tags(tags) };

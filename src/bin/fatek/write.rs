@@ -17,7 +17,14 @@ use crate::signal::unless_signalled;
 
 /// A write of a tag.
 #[derive(Clone, Debug)]
-pub(crate) enum Write {
+pub(crate) struct Write {
+    /// The name that the tag was given by.
+    name: Option<String>,
+    what: What,
+}
+
+#[derive(Clone, Debug)]
+enum What {
     Values(Assignment),
     /// Of bits of a register, which is read before.
     Bits {
@@ -27,56 +34,73 @@ pub(crate) enum Write {
 }
 
 impl Write {
+    /// A write of values. `name`: of the tag, if it was given by name.
+    pub(crate) fn values_of(assignment: Assignment, name: Option<String>) -> Self {
+        Self { name, what: What::Values(assignment) }
+    }
+
+    /// A write of bits of a register.
+    pub(crate) fn bits_of(tag: Tag, states: Vec<bool>, name: Option<String>) -> Self {
+        Self { name, what: What::Bits { tag, states } }
+    }
+
     pub(crate) fn tag(&self) -> Tag {
-        match self {
-            Self::Values(assignment) => assignment.tag(),
-            Self::Bits { tag, .. } => *tag,
+        match &self.what {
+            What::Values(assignment) => assignment.tag(),
+            What::Bits { tag, .. } => *tag,
         }
     }
 
-    pub(crate) fn values(&self) -> Vec<TagValue> {
-        match self {
-            Self::Values(assignment) => assignment.values().to_vec(),
-            Self::Bits { states, .. } => states.iter().map(|&state| state.into()).collect(),
+    /// The values as they were given.
+    fn values(&self) -> Vec<TagValue> {
+        match &self.what {
+            What::Values(assignment) => assignment.values().to_vec(),
+            What::Bits { states, .. } => states.iter().map(|&state| state.into()).collect(),
         }
     }
 
     /// The values as they are read back: a scaled one is rounded to a raw number.
     pub(crate) fn stored_values(&self) -> Vec<TagValue> {
-        match self {
-            Self::Values(assignment) => {
+        match &self.what {
+            What::Values(assignment) => {
                 let stored = assignment.tag().decode(&assignment.encode());
                 // An assignment has values for all of its elements.
                 stored.unwrap_or_else(|_| self.values())
             }
-            Self::Bits { .. } => self.values(),
+            What::Bits { .. } => self.values(),
         }
     }
 
     /// Writes the values. The failure says if they may have been written.
     pub(crate) async fn send(&self, station: &Station) -> Result<(), Failure> {
-        let sent = match self {
-            Self::Values(assignment) => station.write_all([assignment.clone()]).await,
-            Self::Bits { tag, states } => station.modify_bits(tag, states).await,
+        let sent = match &self.what {
+            What::Values(assignment) => station.write_all([assignment.clone()]).await,
+            What::Bits { tag, states } => station.modify_bits(tag, states).await,
         };
         sent.map_err(|error| {
             // The error of a partial write names the values that were written.
             let in_doubt = !matches!(error, Error::PartlyWritten { .. }) && error.may_have_executed();
             let doubt = if in_doubt { " (it may have been written)" } else { "" };
-            Failure::of(format_args!("{}{doubt}", self.tag()))(error)
+            Failure::of(format_args!("{}{doubt}", self.subject()))(error)
         })
+    }
+
+    /// The tag in a message, with its name if it was given by name.
+    fn subject(&self) -> String {
+        self.name.as_ref().map_or_else(|| self.tag().to_string(), |name| format!("{name} ({})", self.tag()))
     }
 }
 
 impl fmt::Display for Write {
+    /// The values as they are stored, and those that were given if these differ: `R5:i16*0.1=21.5 (21.55 was given)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Values(assignment) => assignment.fmt(f),
-            Self::Bits { tag, states } => {
-                let states: Vec<&str> = states.iter().map(|&on| if on { "1" } else { "0" }).collect();
-                write!(f, "{tag}={}", states.join(","))
-            }
+        let texts = |values: &[TagValue]| values.iter().map(ToString::to_string).collect::<Vec<String>>().join(",");
+        let (given, stored) = (texts(&self.values()), texts(&self.stored_values()));
+        match &self.name {
+            Some(name) => write!(f, "{name}={stored}")?,
+            None => write!(f, "{}={stored}", self.tag())?,
         }
+        if given == stored { Ok(()) } else { write!(f, " ({given} was given)") }
     }
 }
 

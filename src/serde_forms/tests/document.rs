@@ -329,7 +329,7 @@ fn states_and_kinds_of_errors_have_names() {
         ),
         (timeout, "timeout", true, true),
         (Error::Closed { sent: false }, "closed", false, false),
-        (Error::Tag(Box::new(crate::tag::TagAccessError::Number)), "tag", false, false),
+        (Error::Tag(Box::new(crate::tag::TagAccessError::Number { tags: 2, items: 3 })), "tag", false, false),
     ] {
         let form = serde_json::to_value(&error).unwrap();
         let expected = json!({

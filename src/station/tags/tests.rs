@@ -149,26 +149,45 @@ async fn what_is_written_is_read_back_in_both_framings() {
 async fn values_that_do_not_fit_are_named_and_nothing_is_sent() {
     let Bench { station, faults, .. } = bench(Framing::Ascii, []);
     for (error, text) in [
-        (misfit(station.write("R0", 65_536).await), "65536 cannot be written to R0 (u16 of 16 bits)"),
-        (misfit(station.write("R0", -1).await), "-1 cannot be written to R0 (u16 of 16 bits)"),
-        (misfit(station.write("R0", 1.0).await), "1 cannot be written to R0 (u16 of 16 bits)"),
-        (misfit(station.write("R0:f32", 16_777_217).await), "16777217 cannot be written to R0:f32 (f32 of 32 bits)"),
+        (
+            misfit(station.write("R0", 65_536).await),
+            "65536 cannot be written to R0 (u16 of 16 bits): out of range: u16 takes 0 to 65535",
+        ),
+        (misfit(station.write("R0", -1).await), "-1 cannot be written to R0 (u16 of 16 bits): out of range"),
+        (misfit(station.write("R0", 1.0).await), "1.0 cannot be written to R0 (u16 of 16 bits): u16 takes no floats"),
+        (
+            misfit(station.write("R0:f32", 16_777_217).await),
+            "16777217 cannot be written to R0:f32 (f32 of 32 bits): f32 does not have this integer exactly",
+        ),
         (
             misfit(station.write("R0:f32", 1e39).await),
-            "1000000000000000000000000000000000000000 cannot be written to R0:f32",
+            "1e39 cannot be written to R0:f32 (f32 of 32 bits): out of range",
         ),
         (misfit(station.write("R0", true).await), "true cannot be written to R0 (u16 of 16 bits)"),
-        (misfit(station.write("M0", 1).await), "1 cannot be written to M0 (bool)"),
-        (misfit(station.write("R0:u16*0.1", 6553.6).await), "6553.6 cannot be written to R0:u16*0.1 (scaled)"),
-        (misfit(station.write("R0-R1:text", "abcde").await), "\"abcde\" cannot be written to R0-R1:text (text)"),
+        (misfit(station.write("M0", 1).await), "1 cannot be written to M0 (bool): bool takes no numbers"),
+        (
+            misfit(station.write("R0:u16*0.1", 6553.6).await),
+            "6553.6 cannot be written to R0:u16*0.1 (scaled): the raw number of 6553.6 is 65536",
+        ),
+        (
+            misfit(station.write("R0-R1:text", "abcde").await),
+            "\"abcde\" cannot be written to R0-R1:text (text): \"abcde\" has 5 characters, and 4 fit",
+        ),
         (misfit(station.write("R0", "5").await), "\"5\" cannot be written to R0"),
         (misfit(station.write("R0-R2", [1, 2]).await), "2 values cannot be written to R0-R2 (3 values, each u16"),
         (misfit(station.write("R0-R2", [1, 2, 70_000]).await), "70000 cannot be written to R2 (u16"),
-        (misfit(station.write("R0", TagValue::I16(1)).await), "1 cannot be written to R0 (u16"),
+        (
+            misfit(station.write("R0", TagValue::I16(1)).await),
+            "1 (i16 of 16 bits) cannot be written to R0 (u16 of 16 bits)",
+        ),
         (misfit(station.write("R5:x", 1).await), "`R5:x` is not a tag"),
         (misfit(station.read::<u16, _>("R0-").await), "`R0-` is not a tag"),
         (misfit(station.read::<(u16, i16), _>(("R0", "M0")).await), "M0 (bool) cannot be read into `i16`"),
-        (misfit(station.read::<[u16; 3], _>(["R0", "R1"]).await), "the number of tags"),
+        (misfit(station.write("R0-R1", [5]).await), "1 value cannot be written to R0-R1 (2 values"),
+        (
+            misfit(station.read::<[u16; 3], _>(["R0", "R1"]).await),
+            "the number of tags is 2, and that of the items of the Rust type 3",
+        ),
         (
             misfit(station.read::<[u16; 3], _>("R0-R1").await),
             "R0-R1 (2 values, each u16 of 16 bits) cannot be read into `[u16; 3]`",
@@ -239,8 +258,74 @@ async fn a_refused_element_fails_the_whole_group() {
     let refuse = Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(crate::register!("R7"));
     let bench = bench(Framing::Ascii, [refuse]);
     let error = bench.station.write_all((("R0", 1), ("M5", true), ("R7", 2))).await.unwrap_err();
-    assert!(matches!(error, Error::Plc { error: ErrorCode::IllegalAddress, .. }), "{error:?}");
+    assert_eq!(error.error_code(), Some(ErrorCode::IllegalAddress));
+    assert_eq!(error.to_string(), "R0, M5, R7: station 1 refused mixed write (49h): illegal address (A)");
     assert_eq!((bench.commands(), bench.plc.read(crate::register!("R0"))), (vec![0x49], Value::Word(0)));
+}
+
+/// The error had no tag: in a struct of 20 tags none knew which one the PLC does not have.
+#[tokio::test]
+async fn a_refusal_names_the_tags_of_its_request() {
+    let refuse = |element| Rule::new(Fault::Error(ErrorCode::IllegalAddress)).element(element);
+    let bench = bench(Framing::Ascii, [refuse(crate::register!("R7")), refuse(crate::register!("R3000"))]);
+    // As in `several_tags_are_read_and_written_by_the_cheapest_requests`.
+    bench.station.set_capabilities(Capabilities::new().with_response_time(Duration::from_millis(5)));
+    let refused = async |tags: &[&str]| bench.station.read::<Vec<u16>, _>(tags).await.unwrap_err().to_string();
+    let text = refused(&["R0", "R7", "R9", "R2000"]).await;
+    assert_eq!(text, "R0, R7, R9, R2000: station 1 refused mixed read (48h): illegal address (A)");
+    assert_eq!(refused(&["R7"]).await, "station 1 refused read registers (46h): illegal address (A)");
+    let many: Vec<String> = (0..12).map(|n| format!("R{n}")).collect();
+    let many: Vec<&str> = many.iter().map(String::as_str).collect();
+    let text = refused(&many).await;
+    assert!(text.starts_with("R0, R1, R2, R3, R4, R5, R6, R7 and 4 more tags: station 1 refused"), "{text}");
+    // Of several requests, behind the first one.
+    let writes = [("R0-R63", vec![1_u16; 64]), ("R3000-R3063", vec![2; 64])];
+    let text = bench.station.write_all(writes).await.unwrap_err().to_string();
+    assert!(text.starts_with("R0-R63: station 1 refused write registers (47h)"), "{text}");
+    let writes = [("R100-R163", vec![1_u16; 64]), ("R3000-R3063", vec![2; 64])];
+    let error = bench.station.write_all(writes).await.unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "64 of 128 values were written, and then: R3000-R3063: station 1 refused write registers (47h): illegal \
+         address (A)"
+    );
+    assert!(error.error_code() == Some(ErrorCode::IllegalAddress) && error.may_have_executed());
+}
+
+/// The values were sent whole, as `014704R00000…` with a limit of 2, although reads of them were refused.
+#[tokio::test]
+async fn a_value_longer_than_the_declared_requests_is_not_sent() {
+    let bench = bench(Framing::Ascii, []);
+    bench.station.set_capabilities(Capabilities::new().with_max_registers(2).unwrap());
+    let text = |result: Result<(), Error>| match result {
+        Err(error @ Error::Invalid(_)) => error.to_string(),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(
+        text(bench.station.write("R0:f64", 1.5).await),
+        "invalid request: write registers (47h): the value from R0 on has 4 elements, and the station takes 2 in one \
+         request"
+    );
+    let later = bench.station.write_all((("R9", 1), ("R0-R39:text", "x"))).await;
+    assert!(text(later).contains("the value from R0 on has 40 elements"));
+    assert!(text(bench.station.write("DR0:f64", 1.5).await).contains("has 2 elements, and the station takes 1"));
+    assert_eq!(bench.faults.log().arrivals(), 0);
+    bench.station.write_all((("R0:f32", 1.5), ("R10-R14", [1, 2, 3, 4, 5]))).await.unwrap();
+    assert_eq!(bench.station.read::<[u16; 5], _>("R10-R14").await.unwrap(), [1, 2, 3, 4, 5]);
+}
+
+/// A signalling NaN became a quiet one on its way through `f64`: 0x7F800001 was written as 0x7FC00001.
+#[tokio::test]
+async fn each_f32_is_written_with_its_own_bits() {
+    let bench = bench(Framing::Binary, []);
+    for bits in [0x7F80_0001, 0xFFB4_A654, 0x7FC0_0000, 0x8000_0000, 0x0000_0001_u32] {
+        bench.station.write("R0:f32", f32::from_bits(bits)).await.unwrap();
+        bench.station.write("R2:f32-hi", [f32::from_bits(bits)]).await.unwrap();
+        let (low, high): (u32, u32) = bench.station.read(("R0:u32", "R2:u32-hi")).await.unwrap();
+        assert_eq!((low, high), (bits, bits), "{bits:08X}");
+        let back: f32 = bench.station.read("R0:f32").await.unwrap();
+        assert_eq!(back.to_bits(), bits);
+    }
 }
 
 /// An own type that has no value for 0.

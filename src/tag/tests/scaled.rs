@@ -53,6 +53,17 @@ fn a_scaled_value_has_the_decimals_of_gain_and_offset() {
     ] {
         assert_eq!(decode(text, &[Value::Word(raw)])[0].to_string(), printed, "{text} {raw}");
     }
+    // Before, the first three had digits of rounding errors: 209597170802.86102, ….2999 and ….0000003.
+    for (text, raw, printed) in [
+        ("R0:u32*76.768+45.709", 2_730_267_439_u32, "209597170802.861"),
+        ("R0:u32*273.21-4511.5", 3_748_280_830, "1024067801052.8"),
+        ("R0:u32*0.123456789012345", 4_000_000_003, "493827156.4197504"),
+        ("R0:u32*0.1", u32::MAX, "429496729.5"),
+        ("R0:i32*12345.6789-0.0001", 0x8000_0000, "-26512143561208.63"),
+    ] {
+        let raw = [raw & 0xFFFF, raw >> 16].map(|word| Value::Word(u16::try_from(word).unwrap()));
+        assert_eq!(decode(text, &raw)[0].to_string(), printed, "{text} {raw:?}");
+    }
     // A float counts as the decimal that it displays.
     let float = |text: &str, value: f32| decode(text, &[Value::DWord(value.to_bits())])[0].to_string();
     assert_eq!(float("DR0:f32*0.1", 12.3), "1.23");

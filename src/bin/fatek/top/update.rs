@@ -271,7 +271,7 @@ impl Trouble {
             fatek::Error::Timeout { .. } => "no reply",
             fatek::Error::Offline { .. } => "offline",
             fatek::Error::Connect { .. } | fatek::Error::Disconnected { .. } | fatek::Error::Closed { .. } => "no link",
-            fatek::Error::Plc { .. } => "refuses",
+            fatek::Error::Plc { .. } | fatek::Error::RefusedTags { .. } => "refuses",
             fatek::Error::BadReply { .. } | fatek::Error::OutOfStep { .. } | fatek::Error::Duplicates { .. } => {
                 "bad reply"
             }

@@ -45,7 +45,7 @@ async fn a_write_of_bits_sends_nothing() {
         "M5 is not a bit of a register, such as R5.3: it is written by itself"
     );
     assert!(misfit(bench.station.modify_bits("R5", [true]).await).starts_with("R5 is not a bit of a register"));
-    assert!(misfit(bench.station.modify_bits("R5.0-R5.3", [true]).await).starts_with("1 values cannot be written"));
+    assert!(misfit(bench.station.modify_bits("R5.0-R5.3", [true]).await).starts_with("1 value cannot be written"));
     assert!(bench.commands().is_empty());
     // The bit of a word of discretes is a discrete.
     bench.station.write("WM0.3", true).await.unwrap();
