@@ -362,20 +362,26 @@ async fn a_second_signal_ends_a_member_that_cannot_leave() {
     let folder = fleet.folder.path().join("hall-1");
     std::fs::create_dir_all(&folder).unwrap();
     let text = fleet.config().replace(&format!("lease = '{LEASE:?}'"), "lease = '4s'");
+    assert!(text.contains("'4s'"), "{text}");
     let mut bridge = Bridge::start_with(&write_config(&folder, &text), &folder, &[("FATEK_BRIDGE_ID", "hall-1")]);
     bridge.batch();
     fleet.nats.signal("STOP");
     bridge.signal("TERM");
-    tokio::time::sleep(Duration::from_millis(100)).await;
-    assert!(bridge.ended().is_none(), "{}", bridge.log());
-    bridge.signal("TERM");
-    let begun = Instant::now();
-    let status = bridge.wait();
-    let took = begun.elapsed();
+    let mut begun = None;
+    // Signals that come together are one.
+    let status = loop {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        match bridge.ended() {
+            Some(status) => break status,
+            None => bridge.signal("TERM"),
+        }
+        begun.get_or_insert_with(Instant::now);
+    };
+    let took = begun.map(|begun| begun.elapsed()).unwrap_or_default();
     println!("ended {took:?} after the second signal");
     fleet.nats.signal("CONT");
     assert!(status.success() && bridge.log().contains("a second signal"), "{}", bridge.log());
-    // Half of it is for a busy machine.
+    // It takes 0.5 s; the rest is for a busy machine.
     assert!(took < Duration::from_millis(1500), "{took:?}: {}", bridge.log());
 }
 

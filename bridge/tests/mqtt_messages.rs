@@ -113,15 +113,99 @@ async fn an_output_that_stops_waits_until_the_broker_has_all_states() {
         .await;
     broker.behave(|received| match received.topic.as_str() {
         "fatek/hall-2/state" => Action::Ack,
-        _ => Action::AckAfter(Duration::from_millis(300)),
+        _ => Action::AckAfter(Duration::from_millis(100)),
     });
     plant.registry.give_up([(&"mixer".into(), Elsewhere::Lost), (&"boiler".into(), Elsewhere::Lost)]);
     output.stop().await;
     broker.wait_for("end", |broker| broker.connected()[0].is_closed).await;
     let connected = &broker.connected()[0];
     assert_eq!((connected.said_goodbye, connected.unanswered), (true, 0));
+}
+
+/// The broker restarts when the last member of a fleet stops.
+///
+/// While a stop ended the output at the loss, this test gave one connection, and a PLC that stayed online.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_last_member_connects_again_for_its_last_states() {
+    let broker = Broker::start().await;
+    let plant = PolledPlant::start(&format!("{PLANT}{BOILER}")).await;
+    let output = Output::start_member(&broker.url(), plant.registry.clone());
+    broker
+        .wait_for("online", |broker| ["mixer", "boiler"].iter().all(|plc| is_online(broker, plc) == Some(true)))
+        .await;
+    let mut losses = 1;
+    broker.behave(move |received| {
+        let is_lost = received.topic == "fatek/hall-2/mixer/state" && std::mem::take(&mut losses) > 0;
+        if is_lost { Action::Lose } else { Action::Ack }
+    });
+    plant.registry.give_up([(&"mixer".into(), Elsewhere::Lost), (&"boiler".into(), Elsewhere::Lost)]);
+    output.stop().await;
+    broker.wait_for("end", |broker| broker.connected().last().unwrap().is_closed).await;
     let online = ["mixer", "boiler"].map(|plc| is_online(&broker, plc));
-    assert_eq!(online, [Some(false); 2]);
+    assert_eq!((online, broker.connected().len()), ([Some(false); 2], 2));
+    assert!(broker.connected()[1].said_goodbye);
+}
+
+/// Other PLCs have another member then, or the state of the bridge says enough.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_without_lost_plcs_does_not_connect_again() {
+    for is_member in [true, false] {
+        let broker = Broker::start().await;
+        let plant = PolledPlant::start(PLANT).await;
+        let output = match is_member {
+            true => Output::start_member(&broker.url(), plant.registry.clone()),
+            false => Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None),
+        };
+        broker.wait_for("online", |broker| is_online(broker, "mixer") == Some(true)).await;
+        broker.behave(|_| Action::Lose);
+        output.stop().await;
+        assert_eq!(broker.connected().len(), 1, "member: {is_member}");
+    }
+}
+
+/// A batch that the session sends alone, since it may be the reason of a loss, is no reason to keep states back.
+///
+/// While it was one, this test gave an end without the state of the bridge: only its will said that it was offline.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_last_states_do_not_wait_for_a_batch_under_suspicion() {
+    let broker = Broker::start().await;
+    let mut batches = 0;
+    broker.behave(move |received| {
+        batches += u64::from(received.topic.ends_with("/data"));
+        match (received.topic.ends_with("/data"), batches) {
+            (false, _) => Action::Ack,
+            (true, ..=2) => Action::Disconnect(0x95),
+            (true, _) => Action::Silence,
+        }
+    });
+    let mut output = Output::start(&broker.url(), json!({}));
+    output.push(9);
+    let is_alone = |broker: &Broker| broker.received().iter().any(|received| received.topic.ends_with("/data"));
+    broker.wait_for("a batch alone", is_alone).await;
+    output.stop().await;
+    broker.wait_for("end", |broker| broker.connected().last().unwrap().is_closed).await;
+    assert_eq!(broker.retained_json("fatek/hall-2/state"), Some(json!({ "online": false })));
+    assert!(broker.connected().last().unwrap().said_goodbye);
+}
+
+/// Each answer comes in time, and all of them take longer than a service has to end.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_output_that_stops_ends_though_the_broker_is_slow() {
+    const PLCS: usize = 40;
+    let broker = Broker::start().await;
+    broker.limit(|limits| limits.receive_max = Some(1));
+    let plc = |n: usize| format!("[plc.p{n}]\nlink = 'LINK'\nstation = {}\n", n + 1);
+    let plant = PolledPlant::start(&(0..PLCS).map(plc).collect::<String>()).await;
+    let output = Output::start_with(&broker.url(), json!({}), plant.registry.clone(), None);
+    let names: Vec<std::sync::Arc<str>> = (0..PLCS).map(|n| format!("p{n}").into()).collect();
+    broker.wait_for("states", |broker| names.iter().all(|plc| is_online(broker, plc).is_some())).await;
+    broker.behave(|_| Action::AckAfter(Duration::from_millis(500)));
+    plant.registry.give_up(names.iter().map(|name| (name, Elsewhere::Lost)));
+    let took = output.stop().await;
+    // A slow machine sees fewer answers.
+    assert!(took >= Duration::from_secs(4), "{took:?}");
+    broker.wait_for("end", |broker| broker.connected()[0].is_closed).await;
+    assert!(!broker.connected()[0].said_goodbye, "the will says that the bridge is offline");
 }
 
 /// A broker that takes few messages at once, far away: each round takes 100 ms, and all of them more than a second.
@@ -129,7 +213,7 @@ async fn an_output_that_stops_waits_until_the_broker_has_all_states() {
 /// While the output ended a second after its stop, this test gave 20 states at the broker.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_output_that_stops_goes_on_while_the_broker_takes_states() {
-    const PLCS: usize = 36;
+    const PLCS: usize = 24;
     let broker = Broker::start().await;
     broker.limit(|limits| limits.receive_max = Some(2));
     let plc = |n: usize| format!("[plc.p{n}]\nlink = 'LINK'\nstation = {}\n", n + 1);

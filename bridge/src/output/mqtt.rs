@@ -3,8 +3,11 @@
 //! ```text
 //!             ┌───────────────────── back-off ◀──────────────────────┐
 //!             ▼                                                      │ fails, or is lost
-//! start ──▶ connecting ──CONNACK──▶ session: birth, states, discovery, batches ──stop──▶ offline state
+//! start ──▶ connecting ──CONNACK──▶ session: birth, states, discovery, batches ──stop──▶ last states
 //! ```
+//!
+//! A stop ends the output at once if it has no connection. The last member of a fleet goes on for up to 4 s: nothing
+//! else tells the broker that no member polls its PLCs.
 //!
 //! Batches are messages with QoS 1, several in flight. A batch is acknowledged in the buffer when the broker has
 //! acknowledged it and all before it. After a loss all others are sent again. There is no session at the broker
@@ -36,12 +39,12 @@ mod session;
 mod subscriptions;
 mod window;
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use serde_json::json;
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 use self::connection::{Client, Connection};
@@ -59,6 +62,10 @@ use crate::topic::Topics;
 
 /// A connection that lasts longer than this, or delivers a batch, was good: the next delay is short.
 const GOOD: Duration = Duration::from_secs(5);
+/// The time for the last messages after the stop.
+const LAST_MESSAGES: Duration = Duration::from_secs(4);
+/// The longest delay of a connection that is opened for them.
+const LAST_RETRY: Duration = Duration::from_millis(500);
 /// The delay after another client with the same id has connected: two that do not wait would fight.
 const TAKEN_OVER: Duration = Duration::from_secs(10);
 
@@ -77,6 +84,36 @@ struct Shared {
     require_subscribers: bool,
     /// The state of the bridge while it is connected.
     birth: Bytes,
+    /// The end of the time for the last messages, once the output is stopped.
+    end: OnceLock<Instant>,
+}
+
+impl Shared {
+    /// The end of the time for the last messages. The first call, when the output is stopped, sets it.
+    fn limit_of_the_end(&self, now: Instant) -> Instant {
+        *self.end.get_or_init(|| now + LAST_MESSAGES)
+    }
+
+    /// Returns whether the output is stopped and ends now, without a connection.
+    fn is_over(&self, now: Instant) -> bool {
+        let is_last_member = || self.topics.is_fleet() && self.registry.read().lost().next().is_some();
+        self.stop.is_cancelled() && (now >= self.limit_of_the_end(now) || !is_last_member())
+    }
+
+    /// Waits for this time, but not beyond the end of the output.
+    async fn wait(&self, delay: Duration) {
+        let stopped = async {
+            self.stop.cancelled().await;
+            let now = Instant::now();
+            if !self.is_over(now) {
+                sleep_until(self.limit_of_the_end(now).min(now + delay.min(LAST_RETRY))).await;
+            }
+        };
+        tokio::select! {
+            () = sleep(delay) => {}
+            () = stopped => {}
+        }
+    }
 }
 
 /// Delivers batches, states and discovery messages until it is stopped. It connects again after each loss.
@@ -103,14 +140,22 @@ pub async fn run(section: MqttSection, former: Option<MqttSection>, parts: Outpu
         stop: stop.clone(),
         require_subscribers: section.require_subscribers,
         birth: birth(),
+        end: OnceLock::new(),
         topics,
     };
     let mut backoff = Backoff::default();
     let mut was_connected = false;
-    while !stop.is_cancelled() {
+    while !shared.is_over(Instant::now()) {
+        let over = async {
+            stop.cancelled().await;
+            let now = Instant::now();
+            if !shared.is_over(now) {
+                sleep_until(shared.limit_of_the_end(now)).await;
+            }
+        };
         let opened = tokio::select! {
             opened = open(&section, &client) => opened,
-            () = stop.cancelled() => return,
+            () = over => return,
         };
         let delay = match opened {
             Err(failure) => {
@@ -132,10 +177,7 @@ pub async fn run(section: MqttSection, former: Option<MqttSection>, parts: Outpu
                 if error.is_taken_over() { TAKEN_OVER } else { backoff.next_delay() }
             }
         };
-        tokio::select! {
-            () = sleep(delay) => {}
-            () = stop.cancelled() => {}
-        }
+        shared.wait(delay).await;
     }
 }
 

@@ -12,7 +12,7 @@ use fatek::{Poller, Pool};
 use fatek_bridge::batch::{Batch, milliseconds};
 use fatek_bridge::buffer::Buffer;
 use fatek_bridge::command::{CommandSettings, Commands, Storage};
-use fatek_bridge::config::MqttSection;
+use fatek_bridge::config::{MqttSection, Name};
 use fatek_bridge::output::{BridgeNames, Health};
 use fatek_bridge::output::{OutputKind, OutputParts, mqtt};
 use fatek_bridge::registry::Registry;
@@ -48,6 +48,12 @@ impl Output {
         Self::start_after(url, more, None, registry, commands)
     }
 
+    /// The output of the member `pc-1` of a fleet.
+    pub fn start_member(url: &str, registry: Registry) -> Self {
+        let member = Some(serde_json::from_value(json!("pc-1")).unwrap());
+        Self::start_named(url, (json!({}), None), registry, None, member)
+    }
+
     /// An output after a reload. `former`: keys of `[mqtt]` before it.
     pub fn start_after(
         url: &str,
@@ -55,6 +61,16 @@ impl Output {
         former: Option<Value>,
         registry: Registry,
         commands: Option<Commands>,
+    ) -> Self {
+        Self::start_named(url, (more, former), registry, commands, None)
+    }
+
+    fn start_named(
+        url: &str,
+        (more, former): (Value, Option<Value>),
+        registry: Registry,
+        commands: Option<Commands>,
+        member: Option<Name>,
     ) -> Self {
         let section = |more: &Value| -> MqttSection {
             let mut section = json!({ "url": url });
@@ -65,7 +81,7 @@ impl Output {
         let buffer = Buffer::in_memory(2, 1 << 30);
         let health = Arc::new(Health::new(OutputKind::Mqtt));
         let stop = CancellationToken::new();
-        let names = BridgeNames { id: serde_json::from_value(json!("hall-2")).unwrap(), member: None };
+        let names = BridgeNames { id: serde_json::from_value(json!("hall-2")).unwrap(), member };
         let cursor = buffer.cursor(0);
         let parts = OutputParts { names, registry, cursor, health: health.clone(), commands, stop: stop.clone() };
         let task = tokio::spawn(mqtt::run(section, former, parts));

@@ -16,11 +16,11 @@ use futures::stream::FuturesUnordered;
 use futures::{FutureExt as _, StreamExt as _};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout};
 
-use self::closing::Closing;
+use self::closing::{Closing, OfflineState};
 use super::Shared;
 use super::commands::ReplyTo;
 use super::connection::{Ack, Connection, Incoming, LostError, Message};
-use super::delivery::Delivery;
+use super::delivery::{Delivery, Loss};
 use super::discovery::Discovery;
 use super::plcs::PublishedPlcs;
 use super::retained::{Priority, Retained};
@@ -91,8 +91,8 @@ enum Item {
     /// The batch at this position of the buffer.
     Batch(u64),
     Retained(String),
-    /// The state of the bridge when the output ends.
-    LastState,
+    /// The offline state of the bridge when the output ends.
+    Offline,
     Reply(Message),
     Subscriptions(Vec<String>),
     EndOfSubscriptions,
@@ -159,10 +159,10 @@ impl<'a> Session<'a> {
         loop {
             self.fill();
             if let Some(closing) = &self.closing
-                && self.is_closed(closing)
+                && self.is_over(closing)
             {
-                let is_last_state_known = closing.is_last_state_known;
-                return self.close(is_last_state_known).await;
+                let offline_state = closing.offline_state;
+                return self.close(offline_state).await;
             }
             let ends = self.closing.as_ref().map(Closing::ends);
             let due = self.carried.delivery.due();
@@ -180,6 +180,7 @@ impl<'a> Session<'a> {
                 }
                 Some(reply) = self.carried.commands.next() => {
                     self.carried.push_reply(reply);
+                    self.progress();
                     Ok(())
                 }
                 _ = tick.tick() => self.tick(),
@@ -218,8 +219,8 @@ impl<'a> Session<'a> {
     /// Sends what may be sent now.
     fn fill(&mut self) {
         let is_full = |session: &Self| session.window.room() == 0 || session.connection.writer.waiting() >= MAX_WAITING;
-        // A batch under suspicion is alone in flight.
-        let is_alone = |session: &Self| session.carried.delivery.is_probing_in_flight();
+        // A batch under suspicion is alone in flight, but for the last states.
+        let is_alone = |session: &Self| session.closing.is_none() && session.carried.delivery.is_probing_in_flight();
         while !is_full(self) && !is_alone(self) {
             let sent = self.send_state() || self.send_reply() || self.closing.is_none() && self.send_in_turn();
             if !sent {
@@ -246,7 +247,7 @@ impl<'a> Session<'a> {
         self.introduced = is_entity.then(|| Instant::now() + INTRODUCTION).or(self.introduced);
         let message = Message { topic: topic.clone().into(), payload, retain: true, correlation: None };
         let is_last = self.closing.is_some() && topic == self.shared.topics.bridge_state();
-        self.publish(&message, if is_last { Item::LastState } else { Item::Retained(topic) });
+        self.publish(&message, if is_last { Item::Offline } else { Item::Retained(topic) });
         true
     }
 
@@ -298,15 +299,14 @@ impl<'a> Session<'a> {
         match packet {
             Incoming::Ack { id, ack } => match self.window.take(id) {
                 Some(item) => {
-                    if let Some(closing) = &mut self.closing {
-                        closing.acknowledged(Instant::now());
-                    }
+                    self.progress();
                     self.acknowledge(item, ack);
                 }
                 None => tracing::debug!(id, "mqtt: an acknowledgement of nothing, or a second one"),
             },
             Incoming::Subscribed { id, refused } => {
                 let Some(Item::Subscriptions(filters)) = self.window.take(id) else { return };
+                self.progress();
                 for (filter, reason) in filters.iter().zip(refused) {
                     if let Some(reason) = reason {
                         tracing::warn!(filter, reason, "mqtt: the broker refuses a subscription");
@@ -324,6 +324,13 @@ impl<'a> Session<'a> {
         }
     }
 
+    /// Notes that the end of the session makes progress, if it has begun.
+    fn progress(&mut self) {
+        if let Some(closing) = &mut self.closing {
+            closing.progressed(Instant::now());
+        }
+    }
+
     fn acknowledge(&mut self, item: Item, ack: Ack) {
         let is_lost = match (&item, ack) {
             (_, Ack::Taken) => false,
@@ -338,9 +345,9 @@ impl<'a> Session<'a> {
             _ if is_lost => self.refuse(item, ack),
             Item::Batch(position) => self.carried.delivery.taken(position, Instant::now()),
             Item::Retained(topic) => self.carried.retained.acknowledged(&topic),
-            Item::LastState => {
+            Item::Offline => {
                 if let Some(closing) = &mut self.closing {
-                    closing.is_last_state_known = true;
+                    closing.offline_state = OfflineState::Known;
                 }
             }
             Item::Reply(_) | Item::Subscriptions(_) | Item::EndOfSubscriptions => {}
@@ -372,8 +379,13 @@ impl<'a> Session<'a> {
                 self.carried.retained.acknowledged(&topic);
             }
             (Item::Reply(_), _) => tracing::warn!(why, "mqtt: the reply of a command is lost"),
-            // Then the broker publishes the will.
-            (Item::LastState | Item::Subscriptions(_) | Item::EndOfSubscriptions, _) => {}
+            // The broker publishes the will.
+            (Item::Offline, _) => {
+                if let Some(closing) = &mut self.closing {
+                    closing.offline_state = OfflineState::Refused;
+                }
+            }
+            (Item::Subscriptions(_) | Item::EndOfSubscriptions, _) => {}
         }
     }
 
@@ -482,28 +494,39 @@ impl<'a> Session<'a> {
             self.carried.retained.queue_wanted(Priority::First);
         }
     }
+
+    /// Keeps what was not acknowledged for the next connection.
+    fn carry(&mut self, ended: &End) {
+        let items: Vec<Item> = self.window.drain().collect();
+        let positions: Vec<u64> = items.iter().filter_map(Item::position).collect();
+        let is_alone = positions.len() == items.len();
+        let loss = match (ended, positions.as_slice()) {
+            (End::Lost(error), [position]) if error.blames_a_message() && is_alone => Loss::Guilty(*position),
+            (End::Lost(error), [_, ..]) if error.blames_a_message() => Loss::Suspect,
+            (End::Lost(_) | End::Stopped, _) => Loss::Other,
+        };
+        self.carried.delivery.lost(loss, Instant::now());
+        let replies: Vec<Message> = items.into_iter().filter_map(Item::into_reply).collect();
+        replies.into_iter().for_each(|reply| self.carried.push_reply(reply));
+    }
 }
 
 impl Item {
     fn position(&self) -> Option<u64> {
         match self {
             Self::Batch(position) => Some(*position),
-            Self::Retained(_)
-            | Self::LastState
-            | Self::Reply(_)
-            | Self::Subscriptions(_)
-            | Self::EndOfSubscriptions => None,
+            Self::Retained(_) | Self::Offline | Self::Reply(_) | Self::Subscriptions(_) | Self::EndOfSubscriptions => {
+                None
+            }
         }
     }
 
     fn into_reply(self) -> Option<Message> {
         match self {
             Self::Reply(message) => Some(message),
-            Self::Batch(_)
-            | Self::Retained(_)
-            | Self::LastState
-            | Self::Subscriptions(_)
-            | Self::EndOfSubscriptions => None,
+            Self::Batch(_) | Self::Retained(_) | Self::Offline | Self::Subscriptions(_) | Self::EndOfSubscriptions => {
+                None
+            }
         }
     }
 }

@@ -9,10 +9,10 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use async_nats::jetstream::context::{Context, ContextBuilder, GetStreamErrorKind, PublishErrorKind};
+use async_nats::jetstream::context::{Context, ContextBuilder, PublishErrorKind};
 use async_nats::jetstream::message::PublishMessage;
 use async_nats::jetstream::{Error as JetStreamError, context::PublishError};
-use async_nats::{Client, Message, Subscriber};
+use async_nats::{Client, Message, RequestErrorKind, Subscriber};
 use bytes::Bytes;
 use futures::stream::{FuturesOrdered, FuturesUnordered};
 use futures::{FutureExt as _, StreamExt as _};
@@ -37,7 +37,7 @@ const REPEAT: u32 = 10;
 const MAX_COMMANDS: usize = 256;
 /// The time for commands that run to end when the output ends.
 const REPLIES: Duration = Duration::from_secs(1);
-/// The time for the last messages when the output ends.
+/// The time for the last states when the output ends, and for the server to read them.
 const GOODBYE: Duration = Duration::from_secs(1);
 /// The JetStream error of a message that is longer than its stream takes.
 const TOO_LONG: u64 = 10054;
@@ -259,29 +259,40 @@ impl<'a> Session<'a> {
                 tracing::warn!(lost, "nats: commands did not end within {REPLIES:?}: their replies are lost");
             }
         }
-        let goodbye = async {
-            // PLCs that the last member of a fleet has given up are offline.
-            self.publish_states().await?;
+        // PLCs that the last member of a fleet has given up are offline.
+        let states = async {
+            let states = self.publish_states().await;
             let offline = Bytes::from_static(br#"{"online":false}"#);
-            publish(self.connection.client(), self.shared.topics.bridge_state(), offline).await?;
-            self.reach_server().await
+            // In any case.
+            states.and(publish(self.connection.client(), self.shared.topics.bridge_state(), offline).await)
         };
-        match timeout(GOODBYE, goodbye).await {
+        match timeout(GOODBYE, states).await {
             Ok(Ok(())) => {}
-            Ok(Err(error)) => tracing::warn!("nats: the last messages were not sent: {error}"),
-            Err(_) => tracing::warn!("nats: the last messages were not sent within {GOODBYE:?}"),
+            Ok(Err(error)) => tracing::warn!("nats: a state was not sent: {error}"),
+            Err(_) => {
+                tracing::warn!("nats: the last states were not sent within {GOODBYE:?}: the server does not read")
+            }
+        }
+        let (client, stream) = (self.connection.client().clone(), self.shared.section.stream.clone());
+        tokio::select! {
+            read = timeout(GOODBYE, reach_server(&client, stream.as_str())) => match read {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => tracing::warn!("nats: the last messages may be lost: {error}"),
+                Err(_) => tracing::warn!("nats: the server did not confirm the last messages within {GOODBYE:?}"),
+            },
+            why = self.connection.lost() => tracing::warn!("nats: the last messages may be lost: {why}"),
         }
     }
+}
 
-    /// Waits until the server has read all messages: it answers a request behind them. It drops those that it has not
-    /// read when the connection ends while it writes.
-    async fn reach_server(&mut self) -> Result<(), String> {
-        match self.context.get_stream(self.shared.section.stream.as_str()).await {
-            Ok(_) => Ok(()),
-            // Any answer of the server will do, also that there is no such stream.
-            Err(error) if matches!(error.kind(), GetStreamErrorKind::JetStream(_)) => Ok(()),
-            Err(error) => Err(with_sources(&error)),
-        }
+/// Waits until the server has read all messages: it answers a request behind them. Messages that it has not read are
+/// dropped when the connection ends while the server writes.
+async fn reach_server(client: &Client, stream: &str) -> Result<(), String> {
+    // A request that the bridge has the right for. Any answer will do, also that there is no such stream.
+    match client.request(format!("$JS.API.STREAM.INFO.{stream}"), Bytes::new()).await {
+        Ok(_) => Ok(()),
+        Err(error) if error.kind() == RequestErrorKind::NoResponders => Ok(()),
+        Err(error) => Err(with_sources(&error)),
     }
 }
 

@@ -1,12 +1,14 @@
-//! The end of a session.
+//! The end of a session that was stopped.
 //!
 //! ```text
-//! stopped ──last states queued──▶ closing ──broker has all states and replies──▶ DISCONNECT ──▶ end
-//!                                    └──no acknowledgement for a second, or 4 s in all──▶ end
+//! stopped ──last states queued──▶ closing ──all acknowledged, or the time is up──▶ DISCONNECT ──▶ end
+//!                                    └──connection lost──▶ end; a member of a fleet may connect again
 //! ```
 //!
-//! Invariant: the bridge sends DISCONNECT only when the broker has the last state of the bridge. Otherwise the broker
-//! publishes the will, which has the same content.
+//! The time is up a second after the last acknowledgement, and 4 s after the stop.
+//!
+//! Invariant: the bridge sends DISCONNECT only when the broker has its offline state. Otherwise the broker publishes
+//! the will, which has the same content.
 //!
 //! Why the acknowledgements of all states are awaited: the process ends after the DISCONNECT, and its socket is closed.
 //! A broker that then cannot write an acknowledgement drops the messages behind it unread.
@@ -16,44 +18,52 @@ use std::time::Duration;
 use bytes::Bytes;
 use tokio::time::{Instant, timeout};
 
-use super::{End, Item, LostError, Message, OFFLINE, Session};
-use crate::output::mqtt::delivery::Loss;
+use super::{End, Item, LostError, OFFLINE, Session};
 use crate::output::mqtt::retained::Priority;
 
 /// The time without an acknowledgement after which the session ends.
 const SILENCE: Duration = Duration::from_secs(1);
-/// The time after which the session ends, also if the broker acknowledges one message after the other.
-const LIMIT: Duration = Duration::from_secs(4);
+/// The time to write DISCONNECT.
+const FLUSH: Duration = Duration::from_millis(500);
 
 /// A session that is being ended.
 #[derive(Debug)]
 pub(super) struct Closing {
-    began: Instant,
     ends: Instant,
-    /// `true` if the broker has the last state of the bridge.
-    pub(super) is_last_state_known: bool,
+    /// The end of the time for the last messages of the output.
+    limit: Instant,
+    pub(super) offline_state: OfflineState,
+}
+
+/// The offline state of the bridge at the broker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum OfflineState {
+    NotAcknowledged,
+    Known,
+    Refused,
 }
 
 impl Closing {
-    fn new(now: Instant) -> Self {
-        Self { began: now, ends: now + SILENCE, is_last_state_known: false }
+    fn new(now: Instant, limit: Instant) -> Self {
+        Self { ends: limit.min(now + SILENCE), limit, offline_state: OfflineState::NotAcknowledged }
     }
 
-    /// When the session ends at the latest.
+    /// When the session ends unless there is progress before.
     pub(super) fn ends(&self) -> Instant {
         self.ends
     }
 
-    /// Notes that the broker has acknowledged a message.
-    pub(super) fn acknowledged(&mut self, now: Instant) {
-        self.ends = (now + SILENCE).min(self.began + LIMIT);
+    /// Notes an acknowledgement, or a reply that is to be sent.
+    pub(super) fn progressed(&mut self, now: Instant) {
+        self.ends = self.limit.min(now + SILENCE);
     }
 }
 
 impl Session<'_> {
     /// Queues the last states.
     pub(super) fn begin_close(&mut self) {
-        self.closing = Some(Closing::new(Instant::now()));
+        let now = Instant::now();
+        self.closing = Some(Closing::new(now, self.shared.limit_of_the_end(now)));
         // PLCs that the last member of a fleet has given up are offline.
         self.refresh(false);
         let topic = self.shared.topics.bridge_state();
@@ -61,27 +71,27 @@ impl Session<'_> {
     }
 
     /// Returns whether the broker has all states and replies, or the time is up.
-    pub(super) fn is_closed(&self, closing: &Closing) -> bool {
+    pub(super) fn is_over(&self, closing: &Closing) -> bool {
         let is_replying = self.window.iter().any(|item| matches!(item, Item::Reply(_)))
             || !self.carried.replies.is_empty()
             || !self.carried.commands.is_empty();
-        let is_told = closing.is_last_state_known && self.states_under_way() == 0;
+        let is_told = closing.offline_state != OfflineState::NotAcknowledged && self.retained_under_way() == 0;
         is_told && !is_replying || closing.ends <= Instant::now()
     }
 
-    /// The states that the broker has not acknowledged, but for that of the bridge.
-    fn states_under_way(&self) -> usize {
+    /// The states that are queued, and the retained messages in flight.
+    pub(super) fn retained_under_way(&self) -> usize {
         let in_flight = self.window.iter().filter(|item| matches!(item, Item::Retained(_))).count();
         self.carried.retained.states() + in_flight
     }
 
-    /// Ends the connection. Unless the broker has the last state, it publishes the will instead.
-    pub(super) async fn close(&mut self, is_last_state_known: bool) -> End {
-        let states = self.states_under_way();
-        if states > 0 {
-            tracing::warn!(states, "mqtt: the broker did not take all states before the end");
+    /// Ends the connection. Unless the broker has the offline state, it publishes the will instead.
+    pub(super) async fn close(&mut self, offline_state: OfflineState) -> End {
+        let messages = self.retained_under_way();
+        if messages > 0 {
+            tracing::warn!(messages, "mqtt: the broker did not take all retained messages before the end");
         }
-        if is_last_state_known {
+        if offline_state == OfflineState::Known {
             self.connection.writer.disconnect();
             let written = async {
                 while !self.connection.writer.is_idle() {
@@ -90,23 +100,8 @@ impl Session<'_> {
                 Ok::<_, LostError>(())
             };
             // It ends anyway.
-            let _ = timeout(SILENCE, written).await;
+            let _ = timeout(FLUSH, written).await;
         }
         End::Stopped
-    }
-
-    /// Keeps what was not acknowledged for the next connection.
-    pub(super) fn carry(&mut self, ended: &End) {
-        let items: Vec<Item> = self.window.drain().collect();
-        let positions: Vec<u64> = items.iter().filter_map(Item::position).collect();
-        let is_alone = positions.len() == items.len();
-        let loss = match (ended, positions.as_slice()) {
-            (End::Lost(error), [position]) if error.blames_a_message() && is_alone => Loss::Guilty(*position),
-            (End::Lost(error), [_, ..]) if error.blames_a_message() => Loss::Suspect,
-            (End::Lost(_) | End::Stopped, _) => Loss::Other,
-        };
-        self.carried.delivery.lost(loss, Instant::now());
-        let replies: Vec<Message> = items.into_iter().filter_map(Item::into_reply).collect();
-        replies.into_iter().for_each(|reply| self.carried.push_reply(reply));
     }
 }
