@@ -314,9 +314,14 @@ impl Values {
         for tag in tags {
             tag.check_in(framing).map_err(InvalidRequest::from)?;
             values.first_slot.push(values.cells.len());
-            for first in tag.elements().step_by(tag.elements_per_value()) {
-                let cells = Cells::of(first, tag.elements_per_value(), limits);
-                values.cells.push(cells.ok_or(PlanError::NotReadable { tag: *tag, element: first })?);
+            let count = tag.elements_per_value();
+            for first in tag.elements().step_by(count) {
+                let missing = || {
+                    let mut elements = (0..count).filter_map(|n| first.nth(n).ok());
+                    let element = elements.find(|element| Cells::of(*element, 1, limits).is_none()).unwrap_or(first);
+                    PlanError::NotReadable { tag: *tag, element }
+                };
+                values.cells.push(Cells::of(first, count, limits).ok_or_else(missing)?);
             }
         }
         Ok(values)

@@ -415,7 +415,7 @@ fn no_request_reads_outside_of_the_readable_ranges() {
     let limits = limits.readable(crate::element!("R20"), crate::element!("R29")).unwrap();
     let plan = Plan::builder(network).limits(limits.clone()).tags([tag("R9"), tag("R20")]).build().unwrap();
     assert_eq!(plan.requests().len(), 2);
-    for (text, first) in [("R10", "R10"), ("R9:f32", "R9"), ("R8-R11", "R10"), ("DR29", "DR29")] {
+    for (text, first) in [("R10", "R10"), ("R9:f32", "R10"), ("R8-R11", "R10"), ("DR29", "DR29")] {
         let error = Plan::builder(network).limits(limits.clone()).tag(tag(text)).build().unwrap_err();
         assert_eq!(error, PlanError::NotReadable { tag: tag(text), element: first.parse().unwrap() });
     }
