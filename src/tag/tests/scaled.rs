@@ -173,6 +173,22 @@ proptest! {
         prop_assert_eq!(scale.to_string().parse(), Ok(scale));
     }
 
+    /// Gain and offset are integers over a power of ten here, so the decimal is calculated with integers.
+    #[test]
+    fn the_value_of_an_integer_is_the_nearest_to_the_decimal(
+        gain in 1..1_000_000_000_i64, offset in -1_000_000_000..1_000_000_000_i64, places in 0..9_u32, bits: u32,
+    ) {
+        let decimal = |number: i64| format!("{}{}.{:09}", if number < 0 { "-" } else { "" },
+            number.unsigned_abs() / 10_u64.pow(places),
+            number.unsigned_abs() % 10_u64.pow(places) * 10_u64.pow(9 - places));
+        let sign = if offset < 0 { "" } else { "+" };
+        let text = format!("R0:u32*{}{sign}{}", decimal(gain), decimal(offset));
+        let raw = [bits & 0xFFFF, bits >> 16].map(|word| Value::Word(u16::try_from(word).unwrap()));
+        let sum = i128::from(gain) * i128::from(bits) + i128::from(offset);
+        let expected: f64 = format!("{sum}e-{places}").parse().unwrap();
+        prop_assert_eq!(decode(&text, &raw), [TagValue::Scaled(expected)], "{} {}", text, bits);
+    }
+
     #[test]
     fn a_scaled_integer_round_trips_by_its_text(scale in scales(), bits: u32, near in 0..9_u32) {
         // Also near the ends of the ranges, where values are least exact.
