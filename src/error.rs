@@ -257,10 +257,11 @@ pub enum Error {
         /// one request takes, can have been written. Values behind those were not written.
         source: Box<Error>,
     },
-    /// The PLC refused a request for several tags. It does not say because of which.
+    /// The PLC refused a request of a call for several tags. If the request was for several, it does not say
+    /// because of which.
     #[non_exhaustive]
     RefusedTags {
-        /// The tags of the request.
+        /// The tags of the request, at least one.
         tags: Vec<Tag>,
         /// The refusal.
         source: Box<Error>,
@@ -376,7 +377,7 @@ impl fmt::Display for Tags<'_> {
         for (n, tag) in shown.iter().enumerate() {
             write!(f, "{}{tag}", if n > 0 { ", " } else { "" })?;
         }
-        if more.is_empty() { Ok(()) } else { write!(f, " and {} more tags", more.len()) }
+        if more.is_empty() { Ok(()) } else { write!(f, " and {} more", more.len()) }
     }
 }
 

@@ -55,6 +55,7 @@
 //! ```
 
 mod error;
+mod limits;
 mod parse;
 mod section;
 
@@ -63,6 +64,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 pub use self::error::{PlantError, PlantErrors, PlantFault, PlantFileError};
+pub use self::limits::LimitError;
 use crate::endpoint::Endpoint;
 use crate::poll::{PollTag, ScanClass};
 use crate::tag::Tag;

@@ -65,6 +65,7 @@ mod bits;
 mod codec;
 mod coding;
 mod convert;
+mod decimal;
 mod error;
 mod fields;
 mod macros;
@@ -82,7 +83,8 @@ use std::str::FromStr;
 pub use assignment::Assignment;
 pub use convert::{FromTag, IntoTagValues};
 pub use error::{
-    ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError, ValueError,
+    GivenKind, ParseAssignmentError, ParseTagError, ParseTagTypeError, ParseValueError, TagAccessError, TagError,
+    ValueError,
 };
 pub use fields::{Field, Tags};
 #[doc(hidden)]

@@ -50,6 +50,15 @@ fn plcs_of_a_plant_are_used_by_name() {
         let refused = run(&["@boiler", "write", write]).usage();
         assert!(refused.contains(reason) && refused.contains("; to write it nevertheless, name "), "{refused}");
     }
+    // Before, 80.5 was written.
+    let halves = folder.file("halves.toml");
+    let valve = format!(
+        "[plc.mixer]\nlink = '{link}'\nstation = 1\ntag.valve = {{ at = 'R9:i16*0.5', write = {{ max = 80.3 }} }}\n",
+        link = "tcp://127.0.0.1:9"
+    );
+    std::fs::write(&halves, valve).unwrap();
+    let refused = fatek(&["--config", &halves, "@mixer", "write", "valve=80.3"]).usage();
+    assert!(refused.contains("valve is at most 80.3, and 80.5 would be stored in the plant"), "{refused}");
     let options_first =
         fatek(&["--config", &path, "-q", "--timeout", "1s", "@mixer", "--format", "csv", "read", "alarm"]);
     assert_eq!(options_first.ok(), "tag,type,value\nalarm,bool,0\n");

@@ -300,7 +300,7 @@ async fn call(
 fn error_kind(error: &Error) -> &'static str {
     match error {
         Error::Invalid(_) => "invalid",
-        Error::Plc { .. } => "refused",
+        Error::Plc { .. } | Error::RefusedTags { .. } => "refused",
         Error::Timeout { .. } => "timeout",
         Error::BadReply { .. } => "bad reply",
         Error::Connect { .. } => "connect",

@@ -62,7 +62,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 fn kind(error: &Error) -> &'static str {
     match error {
         Error::Invalid(_) => "invalid",
-        Error::Plc { .. } => "refused",
+        Error::Plc { .. } | Error::RefusedTags { .. } => "refused",
         Error::Timeout { .. } => "timeout",
         Error::BadReply { .. } => "bad reply",
         Error::Connect { .. } => "connect",

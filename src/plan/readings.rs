@@ -38,7 +38,12 @@ impl PlanReadings<'_, Error> {
     /// The values of the tags with these indices, or the error of the first one that failed. If the plan has
     /// several tags, a refusal names those of its request.
     pub(crate) fn all_values(&self, tags: impl Iterator<Item = usize>) -> Result<Vec<Vec<TagValue>>, Error> {
-        let read = |tag: usize| self.tag(tag).unwrap_or_else(|| Ok(Vec::new()));
+        let read = |tag: usize| {
+            let values = self.tag(tag);
+            debug_assert!(values.is_some(), "the indices are those of tags of the plan");
+            // Values of no tag fit no type.
+            values.unwrap_or_else(|| Ok(Vec::new()))
+        };
         let all: Result<_, &Error> = tags.map(read).collect();
         all.map_err(|error| {
             // Tags of the same request have the same error.

@@ -19,7 +19,8 @@ use crate::link::{CallOptions, CallOutcome, Link, Purpose, StationState, Station
 /// All methods fail alike:
 ///
 /// - [`Error::Invalid`] if an argument breaks a rule of the protocol; nothing is sent.
-/// - [`Error::Plc`] if the PLC refuses the request.
+/// - [`Error::Plc`] if the PLC refuses the request; [`Error::RefusedTags`] if that is one of a call for several tags.
+///   [`Error::error_code`] is for both.
 /// - [`Error::Timeout`], [`Error::BadReply`], [`Error::OutOfStep`], [`Error::Disconnected`],
 ///   [`Error::Connect`], [`Error::Offline`], [`Error::QueueFull`], [`Error::GateClosed`] and
 ///   [`Error::Closed`] if there is no usable reply. Reads were retried by then, as

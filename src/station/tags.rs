@@ -1,8 +1,8 @@
 //! Reads and writes of tags as Rust values.
 //!
 //! Invariants:
-//! - Nothing is sent unless all tags exist, their values fit the Rust types, and their addresses
-//!   are within the framing.
+//! - Nothing is sent unless all tags exist, their values fit the Rust types and requests to the station, and
+//!   their addresses are within the framing.
 //! - A value of several registers is read by one request and written by one request.
 
 use super::any_length::{check_value, partly};
@@ -86,7 +86,9 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit; those of
+    /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit;
+    /// [`InvalidRequest::ValueTooLong`](crate::InvalidRequest::ValueTooLong) for a value of more registers
+    /// than the [capabilities](Self::capabilities) of the station allow in one request. Those of
     /// [every method](Self#errors), with [`Error::PartlyWritten`] for a tag of several requests.
     ///
     /// Cancel safety: as of [every method](Self#cancel-safety).
@@ -110,7 +112,7 @@ impl Station {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Tag`] for a text that is not a tag, or a value that does not fit: nothing is sent.
+    /// As of [`write`](Self::write) for tags and values that do not fit: nothing is sent.
     /// Those of [every method](Self#errors); [`Error::RefusedTags`] names the tags of a request that the
     /// PLC refused. After the first request [`Error::PartlyWritten`], which counts the values of all tags.
     ///

@@ -6,7 +6,7 @@
 
 use super::codec::Number;
 use super::types::Storage;
-use super::{Tag, TagAccessError, TagValue, ValueError};
+use super::{GivenKind, Tag, TagAccessError, TagValue, ValueError};
 use crate::command::Value;
 
 /// A Rust type that holds the values of one tag: numbers, `bool`, `String`, [`TagValue`], and `Vec`s
@@ -255,20 +255,15 @@ impl Tag {
                     ValueError::Inexact { tag_type }
                 }
                 Number::Integer(_) if tag_type.is_number() => ValueError::OutOfRange { tag_type },
-                // An integer beyond 64 bits is a float in JSON.
-                Number::Single(_) | Number::Double(_)
-                    if format.is_float() || number.as_f64().abs() >= 2_f64.powi(64) =>
-                {
-                    ValueError::OutOfRange { tag_type }
-                }
+                Number::Single(_) | Number::Double(_) if format.is_float() => ValueError::OutOfRange { tag_type },
                 Number::Single(_) | Number::Double(_) if tag_type.is_number() => {
-                    ValueError::Kind { tag_type, kind: "floats" }
+                    ValueError::Kind { tag_type, kind: GivenKind::Float }
                 }
                 Number::Integer(_) | Number::Single(_) | Number::Double(_) => {
-                    ValueError::Kind { tag_type, kind: "numbers" }
+                    ValueError::Kind { tag_type, kind: GivenKind::Number }
                 }
             }),
-            (Storage::Text(_) | Storage::BitsOf(_), _) => Err(ValueError::Kind { tag_type, kind: "numbers" }),
+            (Storage::Text(_) | Storage::BitsOf(_), _) => Err(ValueError::Kind { tag_type, kind: GivenKind::Number }),
         }
     }
 }

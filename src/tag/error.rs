@@ -125,8 +125,8 @@ pub enum TagError {
     /// Gain and offset are invalid.
     #[error(transparent)]
     Scale(#[from] ScaleError),
-    /// A gain or offset follows an element without a type.
-    #[error("a gain or offset follows a type, such as in R5:u16*0.1")]
+    /// A gain or offset stands behind an element without a type.
+    #[error("a gain or offset needs a type before it, such as in R5:u16*0.1")]
     ScaleWithoutType,
     /// The type cannot have a gain or offset.
     #[error("{tag_type} takes neither gain nor offset (types that do: {})", Names(scalable()))]
@@ -191,7 +191,7 @@ impl TagError {
             Self::Scale(ScaleError::Gain { .. } | ScaleError::Offset { .. } | ScaleError::Coarse { .. }) => {
                 "not a tag: the numbers of its scale are out of range"
             }
-            Self::ScaleWithoutType => "not a tag: a gain or offset follows a type, such as in R5:u16*0.1",
+            Self::ScaleWithoutType => "not a tag: a gain or offset needs a type before it, such as in R5:u16*0.1",
             Self::NotScalable { .. } => "not a tag: this type takes neither gain nor offset",
             Self::NoValues => "not a tag: it has no values",
             Self::PastTheEnd { .. } => "not a tag: the elements reach past the last address",
@@ -275,7 +275,7 @@ pub enum ValueError {
         tag_type: TagType,
     },
     /// A float does not have the integer: the nearest one is another number.
-    #[error("{tag_type} does not have this integer exactly")]
+    #[error("{tag_type} cannot represent this integer exactly")]
     #[non_exhaustive]
     Inexact {
         /// The type.
@@ -288,7 +288,7 @@ pub enum ValueError {
         /// The type.
         tag_type: TagType,
         /// The kind of the value.
-        kind: &'static str,
+        kind: GivenKind,
     },
     /// The raw number of a scaled value is out of the range of the type.
     #[error("the raw number of {value:?} is {raw:?}, out of range: {tag_type} takes {}", tag_type.takes())]
@@ -357,6 +357,28 @@ pub enum ValueError {
         /// Number of digits that it takes.
         digits: u32,
     },
+}
+
+/// The kind of a value that a type does not take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum GivenKind {
+    /// A number, for a state or a text.
+    Number,
+    /// A number with a fraction or an exponent, for an integer.
+    Float,
+    /// `true` or `false`, for a number or a text.
+    State,
+}
+
+impl fmt::Display for GivenKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Number => "numbers",
+            Self::Float => "floats",
+            Self::State => "true and false",
+        })
+    }
 }
 
 /// A text that is not a value of a tag, with the rule that it breaks.
@@ -461,7 +483,7 @@ pub enum TagAccessError {
         rust_type: &'static str,
     },
     /// The number of tags is not that of the items of the Rust type.
-    #[error("the number of tags is {tags}, and that of the items of the Rust type {items}")]
+    #[error("{tags} tags cannot be read into a Rust type of {items} items")]
     #[non_exhaustive]
     Number {
         /// The number of tags.

@@ -2,8 +2,11 @@
 //!
 //! Invariants:
 //! - The value of an integer is the `f64` nearest to the decimal `raw * gain + offset`, if gain and offset
-//!   have at most 15 digits, and at most 22 decimals: 123 * 0.1 is 12.3, not 12.300000000000001.
+//!   have at most 15 digits and 22 decimals, and are below 1e15, and 128 bits hold the digits of the product:
+//!   123 * 0.1 is 12.3, not 12.300000000000001.
 //! - The value of an integer encodes to the same integer, also after display and parsing.
+//! - Any other value encodes to the nearest integer. If it has at most 15 digits, too, and lies between two, to
+//!   the one farther from zero: 21.45 is 215 for a gain of 0.1, although `21.45 / 0.1` is less than 214.5.
 //! - The value of an `f32` does, too, unless it is too small beside the offset. NaN stays NaN, and
 //!   infinity stays infinity.
 //! - A value whose raw number is out of range is refused, never clamped or wrapped.
@@ -15,6 +18,7 @@ use std::str::FromStr;
 
 use super::ValueError;
 use super::codec::{decimals, has_overflowed};
+use super::decimal::{Decimal, POWERS, nearest_float, rounded_quotient};
 use super::types::Format;
 
 /// A gain and an offset: `value = raw × gain + offset`.
@@ -136,9 +140,10 @@ impl Scale {
     /// The value of a raw number of this format, from its bits.
     pub(super) fn value(self, format: Format, bits: u64) -> f64 {
         let raw = format.value(bits).as_f64().unwrap_or(f64::NAN);
+        // The quick calculation is exact enough to tell raw numbers apart.
+        let is_encoded_alike = |value: f64| format.nearest(self.raw(value)) == Some(bits);
         if !format.is_float()
-            && let Some(value) = self.exact(raw)
-            && self.bits(format, value) == Some(bits)
+            && let Some(value) = self.exact_value(raw).filter(|value| is_encoded_alike(*value))
         {
             return value;
         }
@@ -147,24 +152,17 @@ impl Scale {
         let value = if format.is_float() && self.offset == 0.0 { product } else { product + self.offset };
         let decimals = self.gain_decimals.saturating_add(format.decimals(bits)).max(self.offset_decimals);
         let rounded = round(value, product.abs().max(self.offset.abs()), decimals);
-        if self.bits(format, rounded) == Some(bits) { rounded } else { value }
-    }
-
-    /// The value of an integer, calculated with decimals; `None` if that is not exact.
-    #[allow(clippy::cast_possible_truncation, reason = "an integer of at most 32 bits")]
-    fn exact(self, raw: f64) -> Option<f64> {
-        let decimals = self.gain_decimals.max(self.offset_decimals);
-        let product = (raw as i128).checked_mul(units(self.gain, decimals)?)?;
-        let sum = product.checked_add(units(self.offset, decimals)?)?;
-        let power = POWERS.get(usize::from(decimals))?;
-        // A division of two exact numbers is rounded once.
-        #[allow(clippy::cast_precision_loss, reason = "compared")]
-        let is_exact = sum.unsigned_abs() <= MAX_EXACT;
-        if is_exact { Some(sum as f64 / power) } else { format!("{sum}e-{decimals}").parse().ok() }
+        if is_encoded_alike(rounded) { rounded } else { value }
     }
 
     /// The bits of the raw number, rounded; `None` if it is out of the range of the format.
     pub(super) fn bits(self, format: Format, value: f64) -> Option<u64> {
+        if !format.is_float()
+            && let Some(raw) = self.exact_raw(value)
+        {
+            #[allow(clippy::cast_precision_loss, reason = "exact within the range of all formats")]
+            return format.nearest(raw as f64);
+        }
         let raw = self.raw(value);
         if raw.is_infinite() && value.is_finite() { None } else { format.nearest(raw) }
     }
@@ -173,25 +171,31 @@ impl Scale {
     pub(super) fn raw(self, value: f64) -> f64 {
         (value - self.offset) / self.gain
     }
-}
 
-/// The powers of ten that an `f64` has exactly.
-const POWERS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
-    1e21, 1e22,
-];
+    /// Gain and offset as multiples of the same power of ten, and its decimals, of which there are at least this
+    /// many; `None` if that is not exact.
+    fn in_units(self, decimals: u8) -> Option<(i128, i128, u8)> {
+        let gain = Decimal::of(self.gain, self.gain_decimals)?;
+        let offset = Decimal::of(self.offset, self.offset_decimals)?;
+        let decimals = decimals.max(gain.decimals()).max(offset.decimals());
+        Some((gain.in_units(decimals)?, offset.in_units(decimals)?, decimals))
+    }
 
-/// The largest of the integers that an `f64` has without gaps.
-const MAX_EXACT: u128 = 1 << 53;
+    /// The value of an integer, calculated with decimals; `None` if that is not exact.
+    fn exact_value(self, raw: f64) -> Option<f64> {
+        let (gain, offset, decimals) = self.in_units(0)?;
+        #[allow(clippy::cast_possible_truncation, reason = "an integer of at most 32 bits")]
+        let product = (raw as i128).checked_mul(gain)?;
+        nearest_float(product.checked_add(offset)?, decimals)
+    }
 
-/// A decimal number as a multiple of `10^-decimals`; `None` if the number has more than 15 digits then, and
-/// for more than 22 decimals.
-fn units(number: f64, decimals: u8) -> Option<i128> {
-    let units = number * POWERS.get(usize::from(decimals))?;
-    // The product of a number of 15 digits and a power of ten is off by less than a half.
-    #[allow(clippy::cast_possible_truncation, reason = "below 1e15")]
-    let whole = (units.abs() < 1e15).then(|| units.round() as i128);
-    whole
+    /// The integer nearest to the raw number of a value, calculated with decimals; of two, the one farther from
+    /// zero. `None` if that is not exact.
+    fn exact_raw(self, value: f64) -> Option<i128> {
+        let value = Decimal::of(value, decimals(value))?;
+        let (gain, offset, decimals) = self.in_units(value.decimals())?;
+        rounded_quotient(value.in_units(decimals)?.checked_sub(offset)?, gain)
+    }
 }
 
 /// Rounds a value to a number of decimals if that is exact: if `largest`, the larger of its two

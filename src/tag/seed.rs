@@ -7,7 +7,7 @@ use serde::de::{self, DeserializeSeed, IgnoredAny, SeqAccess, Visitor};
 
 use super::codec::Number;
 use super::types::{Format, Storage};
-use super::{ParseValueError, Tag, TagValue, ValueError};
+use super::{GivenKind, ParseValueError, Tag, TagValue, ValueError};
 
 /// Reads the values of a tag; made by [`Tag::values_seed`].
 #[derive(Clone, Copy, Debug)]
@@ -68,7 +68,9 @@ impl Tag {
     fn natural_bool(&self, on: bool) -> Result<TagValue, ValueError> {
         match self.storage {
             Storage::Bits(Format::Bool, _) | Storage::BitsOf(_) => Ok(TagValue::Bool(on)),
-            Storage::Bits(..) | Storage::Text(_) => Err(ValueError::Kind { tag_type: self.tag_type(), kind: "states" }),
+            Storage::Bits(..) | Storage::Text(_) => {
+                Err(ValueError::Kind { tag_type: self.tag_type(), kind: GivenKind::State })
+            }
         }
     }
 }
@@ -203,8 +205,16 @@ impl Visitor<'_> for ValueSeed {
     }
 
     fn visit_f64<E: de::Error>(self, number: f64) -> Result<TagValue, E> {
+        // In JSON, an integer beyond 64 bits comes as a float.
+        let is_integer = number >= 2_f64.powi(64) || number < -(2_f64.powi(63));
+        let is_other_integer = |error: &ValueError| {
+            is_integer && number.is_finite() && matches!(error, ValueError::Kind { kind: GivenKind::Float, .. })
+        };
+        let out_of_range = || ValueError::OutOfRange { tag_type: self.tag.tag_type() };
+        let value = self.tag.value_of_number(Number::Double(number));
+        let value = value.map_err(|error| if is_other_integer(&error) { out_of_range() } else { error });
         // Debug uses an exponent where Display would write up to 309 digits.
-        self.checked(&format_args!("{number:?}"), self.tag.value_of_number(Number::Double(number)))
+        self.checked(&format_args!("{number:?}"), value)
     }
 
     fn visit_f32<E: de::Error>(self, number: f32) -> Result<TagValue, E> {

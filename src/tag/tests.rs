@@ -164,8 +164,8 @@ fn errors_of_tags_name_the_input_and_the_rule() {
         ("R65535:f32", "2 elements from R65535 on reach past the last address, R65535"),
         ("WM0-4", "WM4: the address of WM must be a multiple of 8"),
         ("R0-", "R needs a decimal address, such as R0"),
-        ("R0*0.1", "a gain or offset follows a type, such as in R5:u16*0.1"),
-        ("R0-R9+5:u16", "a gain or offset follows a type, such as in R5:u16*0.1"),
+        ("R0*0.1", "a gain or offset needs a type before it, such as in R5:u16*0.1"),
+        ("R0-R9+5:u16", "a gain or offset needs a type before it, such as in R5:u16*0.1"),
         // Before, the largest number of 32 bits was named.
         ("R18446744073709551616", "the address of R is past the last address, R65535"),
         ("R0-R1-R2", "the address of R must be decimal digits and nothing else"),

@@ -115,7 +115,7 @@ fn kind(error: &Error) -> &'static str {
         Error::GateClosed { .. } => "gate closed",
         Error::Connect { .. } => "connect",
         Error::Disconnected { .. } => "disconnected",
-        Error::PartlyWritten { source, .. } => kind(source),
+        Error::PartlyWritten { source, .. } | Error::RefusedTags { source, .. } => kind(source),
         Error::Closed { .. } => "closed",
         _ => "other",
     }
@@ -125,7 +125,7 @@ fn kind(error: &Error) -> &'static str {
 fn refusal(error: &Error) -> Option<ErrorCode> {
     match error {
         Error::Plc { error, .. } => Some(*error),
-        Error::PartlyWritten { source, .. } => refusal(source),
+        Error::PartlyWritten { source, .. } | Error::RefusedTags { source, .. } => refusal(source),
         _ => None,
     }
 }

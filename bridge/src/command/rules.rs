@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use fatek::plant::{Plant, PlantPlc, PlantTag, WriteRule};
+use fatek::plant::{LimitError, Plant, PlantPlc, PlantTag, WriteRule};
 use fatek::tag::{Tag, TagValue};
 use serde::de::DeserializeSeed as _;
 
@@ -163,49 +163,19 @@ impl Plan {
         if rule.pulse.is_some() {
             return if self.values == [TagValue::Bool(true)] { Ok(()) } else { Err(Refusal::PulseValue) };
         }
-        if !self.tag.tag_type().is_number() {
-            return Ok(());
+        let is_number = self.tag.tag_type().is_number();
+        let is_finite = |value: &&TagValue| value.as_f64().is_some_and(f64::is_finite);
+        if let Some(value) = self.values.iter().find(|value| is_number && !is_finite(value)) {
+            return Err(Refusal::Value(format!("{value} is not a finite number")));
         }
-        // The PLC gets the nearest value that it has, which must be within the limits as well.
-        let raw = self.tag.encode(&self.values).map_err(|error| Refusal::Value(error.to_string()))?;
-        let stored = self.tag.decode(&raw).map_err(|error| Refusal::Value(error.to_string()))?;
-        self.values.iter().chain(&stored).try_for_each(|value| check_number(value, rule))
-    }
-}
-
-fn check_number(value: &TagValue, rule: &WriteRule) -> Result<(), Refusal> {
-    if !value.as_f64().is_some_and(f64::is_finite) {
-        return Err(Refusal::Value(format!("{value} is not a finite number")));
-    }
-    let range = |side, limit| Err(Refusal::Range { value: value.to_string(), side, limit });
-    match (rule.min, rule.max) {
-        (Some(min), _) if is_below(value, min) => range("below", min),
-        (_, Some(max)) if is_above(value, max) => range("above", max),
-        (_, _) => Ok(()),
-    }
-}
-
-/// An integer of 64 bits, which `as_f64` can round to a limit.
-fn integer(value: &TagValue) -> Option<i128> {
-    if let TagValue::U64(value) = *value {
-        return Some(value.into());
-    }
-    if let TagValue::I64(value) = *value { Some(value.into()) } else { None }
-}
-
-#[allow(clippy::cast_possible_truncation, reason = "the cast saturates, beyond all integers of 64 bits")]
-fn is_below(value: &TagValue, min: f64) -> bool {
-    match integer(value) {
-        Some(integer) => integer < min.ceil() as i128,
-        None => !value.as_f64().is_some_and(|number| number >= min),
-    }
-}
-
-#[allow(clippy::cast_possible_truncation, reason = "the cast saturates, beyond all integers of 64 bits")]
-fn is_above(value: &TagValue, max: f64) -> bool {
-    match integer(value) {
-        Some(integer) => integer > max.floor() as i128,
-        None => !value.as_f64().is_some_and(|number| number <= max),
+        rule.check(&self.tag, &self.values).map_err(|error| {
+            let range = |value: TagValue, side, limit| Refusal::Range { value: value.to_string(), side, limit };
+            match error {
+                LimitError::Below { value, min, .. } => range(value, "below", min),
+                LimitError::Above { value, max, .. } => range(value, "above", max),
+                other @ (LimitError::Value(_) | _) => Refusal::Value(other.to_string()),
+            }
+        })
     }
 }
 

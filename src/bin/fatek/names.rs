@@ -4,7 +4,7 @@ use std::ffi::OsString;
 
 use clap::{Args, ValueHint};
 
-use fatek::plant::{PlantPlc, PlantTag};
+use fatek::plant::{LimitError, PlantPlc, PlantTag};
 use fatek::tag::{Assignment, Tag, TagValue};
 use fatek::tag_table::{TagEntry, TagTable};
 
@@ -129,8 +129,9 @@ impl Table {
             Some(other) => Failure::Usage(format!("{error}; perhaps {other}")),
             None => Failure::usage(error),
         })?;
-        self.check_rule(name, &values)?;
-        let given_name = self.named(name).is_some().then(|| name.to_owned());
+        self.check_rule(name, &tag, &values)?;
+        // Not for a part of a named tag.
+        let given_name = (self.named(name) == Some(tag)).then(|| name.to_owned());
         if !tag.is_bits_of_register() {
             let assignment = Assignment::new(tag, values).map_err(Failure::usage)?;
             return Ok(Write::values_of(assignment, given_name));
@@ -170,25 +171,36 @@ impl Table {
         of_plc.or_else(|| Some(self.table.as_ref()?.get(name)?.tag()))
     }
 
-    /// Checks a write against the rule of a tag of a plant. Without values: that it has one.
-    pub(crate) fn check_rule(&self, name: &str, values: &[TagValue]) -> Result<(), Failure> {
-        let Some(tag) = self.plc.as_ref().and_then(|plc| plc.tag(name)) else { return Ok(()) };
-        let refuse = |reason: String| {
-            let elements = tag.tag();
-            Err(Failure::Usage(format!("{name} {reason} in the plant; to write it nevertheless, name {elements}")))
-        };
-        let Some(rule) = tag.write() else { return refuse("is not writable: it has no `write`".to_owned()) };
-        for value in values {
-            let Some(number) = value.as_f64() else { continue };
-            // NaN is outside of any limits.
-            if let Some(min) = rule.min.filter(|min| number < *min || number.is_nan()) {
-                return refuse(format!("is at least {min}"));
-            }
-            if let Some(max) = rule.max.filter(|max| number > *max || number.is_nan()) {
-                return refuse(format!("is at most {max}"));
-            }
+    /// Checks that a tag of a plant is writable.
+    pub(crate) fn check_writable(&self, name: &str) -> Result<(), Failure> {
+        match self.plc.as_ref().and_then(|plc| plc.tag(name)) {
+            Some(tag) if tag.write().is_none() => Err(refused(tag, name, "is not writable: it has no `write`")),
+            Some(_) | None => Ok(()),
         }
-        Ok(())
+    }
+
+    /// Checks the values of a write against the rule of a tag of a plant. `tag`: its elements that are written.
+    fn check_rule(&self, name: &str, tag: &Tag, values: &[TagValue]) -> Result<(), Failure> {
+        self.check_writable(name)?;
+        let Some((of_plant, rule)) =
+            self.plc.as_ref().and_then(|plc| plc.tag(name)).and_then(|tag| Some((tag, tag.write()?)))
+        else {
+            return Ok(());
+        };
+        rule.check(tag, values).map_err(|error| {
+            // By its text, since NaN is no other NaN.
+            let is_given = |value: &TagValue| values.iter().any(|given| given.to_string() == value.to_string());
+            let stored = |value: &TagValue| match is_given(value) {
+                true => String::new(),
+                false => format!(", and {value} would be stored"),
+            };
+            let reason = match &error {
+                LimitError::Below { value, min, .. } => format!("is at least {min}{}", stored(value)),
+                LimitError::Above { value, max, .. } => format!("is at most {max}{}", stored(value)),
+                other @ (LimitError::Value(_) | _) => return Failure::usage(other),
+            };
+            refused(of_plant, name, &reason)
+        })
     }
 
     fn tag(&self, text: &str) -> Result<Tag, Failure> {
@@ -201,4 +213,9 @@ impl Table {
             (None, None, None) => text.parse().map_err(Failure::usage),
         }
     }
+}
+
+/// The refusal of a write by the rule of a tag of a plant.
+fn refused(tag: &PlantTag, name: &str, reason: &str) -> Failure {
+    Failure::Usage(format!("{name} {reason} in the plant; to write it nevertheless, name {}", tag.tag()))
 }

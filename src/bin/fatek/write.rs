@@ -85,6 +85,15 @@ impl Write {
         })
     }
 
+    /// The value with this number in a message.
+    fn label(&self, number: usize, single: &Tag) -> String {
+        match &self.name {
+            Some(name) if self.tag().value_count() > 1 => format!("{name}[{number}]"),
+            Some(name) => name.clone(),
+            None => single.to_string(),
+        }
+    }
+
     /// The tag in a message, with its name if it was given by name.
     fn subject(&self) -> String {
         self.name.as_ref().map_or_else(|| self.tag().to_string(), |name| format!("{name} ({})", self.tag()))
@@ -92,7 +101,7 @@ impl Write {
 }
 
 impl fmt::Display for Write {
-    /// The values as they are stored, and those that were given if these differ: `R5:i16*0.1=21.5 (21.55 was given)`.
+    /// The values as they are stored, and those that were given if these differ: `R5:i16*0.1=21.5 (21.47 was given)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let texts = |values: &[TagValue]| values.iter().map(ToString::to_string).collect::<Vec<String>>().join(",");
         let (given, stored) = (texts(&self.values()), texts(&self.stored_values()));
@@ -175,13 +184,15 @@ async fn write_round(
         }
         // At once: a later write may be of the same elements.
         let tag = write.tag();
-        let read: Vec<TagValue> = station.read(tag).await.map_err(Failure::of(format_args!("{tag} (read back)")))?;
-        let written = write.values();
+        let back = station.read(tag).await;
+        let read: Vec<TagValue> = back.map_err(Failure::of(format_args!("{} (read back)", write.subject())))?;
+        let written = write.stored_values();
         all += written.len();
-        for ((single, written), read) in tag.singles().zip(written).zip(read) {
+        for ((number, single), (written, read)) in tag.singles().enumerate().zip(written.into_iter().zip(read)) {
             if !is_stored_alike(&single, &written, &read) {
                 differing += 1;
-                complain(format_args!("{single}: {written} was written, and {read} is read"));
+                let label = write.label(number, &single);
+                complain(format_args!("{label}: {written} was written, and {read} is read"));
             }
         }
     }

@@ -55,13 +55,17 @@ fn values_of_another_type_or_range_are_refused() {
     value_refused("R0", "65536", "`65536` is not a value for R0: out of range: u16 takes 0 to 65535");
     value_refused("R0", "-1", "`-1` is not a value for R0: out of range: u16 takes 0 to 65535");
     value_refused("R0", "7.0", "`7.0` is not a value for R0: u16 takes no floats");
-    value_refused("R0", "true", "`true` is not a value for R0: u16 takes no states");
+    value_refused("R0", "true", "`true` is not a value for R0: u16 takes no true and false");
     value_refused("R0", "\"7x\"", "`7x` is not a value for R0: u16 takes 0 to 65535");
     value_refused("R0", "null", "invalid type: null, expected a value of R0");
     value_refused("R0", "{}", "invalid type: map, expected a value of R0");
     value_refused("M0", "1", "`1` is not a value for M0: bool takes no numbers");
     value_refused("R0.3", "1", "`1` is not a value for R0.3: bool takes no numbers");
-    value_refused("R0:f32", "16777217", "`16777217` is not a value for R0:f32: f32 does not have this integer exactly");
+    value_refused(
+        "R0:f32",
+        "16777217",
+        "`16777217` is not a value for R0:f32: f32 cannot represent this integer exactly",
+    );
     value_refused("R0:f32", "1e39", "is not a value for R0:f32: out of range: f32 takes");
     value_refused("R0:u64", "18446744073709551616", "is not a value for R0:u64: out of range: u64 takes 0 to");
     value_refused("R0:hex", "65536", "`65536` is not a value for R0:hex: out of range: hex takes 0x");

@@ -157,7 +157,7 @@ async fn values_that_do_not_fit_are_named_and_nothing_is_sent() {
         (misfit(station.write("R0", 1.0).await), "1.0 cannot be written to R0 (u16 of 16 bits): u16 takes no floats"),
         (
             misfit(station.write("R0:f32", 16_777_217).await),
-            "16777217 cannot be written to R0:f32 (f32 of 32 bits): f32 does not have this integer exactly",
+            "16777217 cannot be written to R0:f32 (f32 of 32 bits): f32 cannot represent this integer exactly",
         ),
         (
             misfit(station.write("R0:f32", 1e39).await),
@@ -184,10 +184,7 @@ async fn values_that_do_not_fit_are_named_and_nothing_is_sent() {
         (misfit(station.read::<u16, _>("R0-").await), "`R0-` is not a tag"),
         (misfit(station.read::<(u16, i16), _>(("R0", "M0")).await), "M0 (bool) cannot be read into `i16`"),
         (misfit(station.write("R0-R1", [5]).await), "1 value cannot be written to R0-R1 (2 values"),
-        (
-            misfit(station.read::<[u16; 3], _>(["R0", "R1"]).await),
-            "the number of tags is 2, and that of the items of the Rust type 3",
-        ),
+        (misfit(station.read::<[u16; 3], _>(["R0", "R1"]).await), "2 tags cannot be read into a Rust type of 3 items"),
         (
             misfit(station.read::<[u16; 3], _>("R0-R1").await),
             "R0-R1 (2 values, each u16 of 16 bits) cannot be read into `[u16; 3]`",
@@ -277,7 +274,7 @@ async fn a_refusal_names_the_tags_of_its_request() {
     let many: Vec<String> = (0..12).map(|n| format!("R{n}")).collect();
     let many: Vec<&str> = many.iter().map(String::as_str).collect();
     let text = refused(&many).await;
-    assert!(text.starts_with("R0, R1, R2, R3, R4, R5, R6, R7 and 4 more tags: station 1 refused"), "{text}");
+    assert!(text.starts_with("R0, R1, R2, R3, R4, R5, R6, R7 and 4 more: station 1 refused"), "{text}");
     // Of several requests, behind the first one.
     let writes = [("R0-R63", vec![1_u16; 64]), ("R3000-R3063", vec![2; 64])];
     let text = bench.station.write_all(writes).await.unwrap_err().to_string();

@@ -176,17 +176,36 @@ proptest! {
     /// Gain and offset are integers over a power of ten here, so the decimal is calculated with integers.
     #[test]
     fn the_value_of_an_integer_is_the_nearest_to_the_decimal(
-        gain in 1..1_000_000_000_i64, offset in -1_000_000_000..1_000_000_000_i64, places in 0..9_u32, bits: u32,
+        gain in 1..1_000_000_000_000_000_i64, offset in -1_000_000_000_000_000 + 1..1_000_000_000_000_000_i64,
+        places in (0..17_u32, 0..17_u32), bits: u32,
     ) {
-        let decimal = |number: i64| format!("{}{}.{:09}", if number < 0 { "-" } else { "" },
-            number.unsigned_abs() / 10_u64.pow(places),
-            number.unsigned_abs() % 10_u64.pow(places) * 10_u64.pow(9 - places));
-        let sign = if offset < 0 { "" } else { "+" };
-        let text = format!("R0:u32*{}{sign}{}", decimal(gain), decimal(offset));
-        let raw = [bits & 0xFFFF, bits >> 16].map(|word| Value::Word(u16::try_from(word).unwrap()));
-        let sum = i128::from(gain) * i128::from(bits) + i128::from(offset);
-        let expected: f64 = format!("{sum}e-{places}").parse().unwrap();
-        prop_assert_eq!(decode(&text, &raw), [TagValue::Scaled(expected)], "{} {}", text, bits);
+        let text = format!("DR0:u32*{gain}e-{}{offset:+}e-{}", places.0, places.1);
+        let Ok(tag) = text.parse::<Tag>() else {
+            // The offset is too large beside the gain.
+            return Ok(());
+        };
+        let both = places.0.max(places.1);
+        let units = |number: i64, places: u32| i128::from(number) * 10_i128.pow(both - places);
+        // The limit of the calculation.
+        let Some(product) = units(gain, places.0).checked_mul(bits.into()) else { return Ok(()) };
+        let sum = product + units(offset, places.1);
+        let expected: f64 = format!("{sum}e-{both}").parse().unwrap();
+        prop_assert_eq!(tag.decode(&[Value::DWord(bits)]).unwrap(), [TagValue::Scaled(expected)], "{} {}", text, bits);
+    }
+
+    /// Calculated with floats, 16 % of such values were rounded towards zero.
+    #[test]
+    fn a_value_between_two_raw_numbers_is_rounded_away_from_zero(
+        gain in 1..10_000_i64, offset in -100_000..100_000_i64, places in 0..6_u32, raw in -30_000..30_000_i64,
+    ) {
+        let tag = tag(&format!("R0:i16*{gain}e-{places}{offset:+}e-{places}"));
+        // The half of a step above a raw number, in a decimal more.
+        let value = (raw * gain + offset) * 10 + 5 * gain;
+        let value: f64 = format!("{value}e-{}", places + 1).parse().unwrap();
+        let encoded = tag.encode(&[TagValue::Scaled(value)]).unwrap();
+        let expected = if raw >= 0 { raw + 1 } else { raw };
+        let expected = Value::Word(i16::try_from(expected).unwrap().cast_unsigned());
+        prop_assert_eq!(encoded, [expected], "{} {}", tag, value);
     }
 
     #[test]

@@ -191,7 +191,7 @@ impl Model {
             return Err(Failure::Usage(fault));
         }
         if let Some(name) = info.named.name() {
-            self.plcs[info.plc].names.check_rule(name, &[])?;
+            self.plcs[info.plc].names.check_writable(name)?;
         }
         refuse_special(self.settings.special, elements.elements())
     }

@@ -40,7 +40,7 @@ fn only_y_at_the_prompt_sends_the_value() {
     }
     let mut bench = running();
     prompt(&mut bench, "mixer/setpoint", "30");
-    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+    assert_eq!(written(&bench.types("y")), ["0: setpoint=30.0"]);
 }
 
 #[test]
@@ -208,7 +208,7 @@ fn values_and_tags_are_refused_by_the_rules_of_the_plant() {
     let settings = Settings { special: true, ..bench.model.settings };
     let mut bench = Bench::with(settings);
     prompt(&mut bench, "mixer/clock", "5");
-    assert_eq!(written(&bench.types("y")), ["0: R4128=5"]);
+    assert_eq!(written(&bench.types("y")), ["0: clock=5"]);
     let mut bench = Bench::with(Settings { read_only: true, ..settings });
     bench.select("mixer/setpoint");
     bench.types("w");
@@ -243,7 +243,7 @@ fn a_y_before_the_prompt_is_shown_confirms_nothing() {
     let before = bench.now - Duration::from_millis(1);
     assert!(bench.model.update(Event::Key(Key::Char('y'), before)).is_none());
     assert!(asks(&mut bench));
-    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+    assert_eq!(written(&bench.types("y")), ["0: setpoint=30.0"]);
 }
 
 #[test]
@@ -260,7 +260,7 @@ fn a_prompt_that_does_not_fit_cannot_be_confirmed() {
     prompt(&mut bench, "mixer/setpoint", "30");
     bench.resize(40, 10);
     assert!(asks(&mut bench));
-    assert_eq!(written(&bench.types("y")), ["0: R200:f32=30.0"]);
+    assert_eq!(written(&bench.types("y")), ["0: setpoint=30.0"]);
 }
 
 #[test]
